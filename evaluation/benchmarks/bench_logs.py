@@ -54,7 +54,7 @@ def run() -> Figures:
                 pass
         peer_s = time.process_time() - started_s
         started_s = time.process_time()
-        open_log(path, lambda share: None)
+        open_log(path)
         faster = peer_s / (time.process_time() - started_s)
     return [
         figure("import_dataflash_over_recv_match", faster, "times as fast", at_least(3)),

@@ -35,7 +35,7 @@ def prepare(folder: Path) -> base.Check:
         path.write_bytes(data[1:])
         said = ""
         try:
-            log = open_log(path, lambda share: None)
+            log = open_log(path)
             join(log, choose(log, Truth()), np.random.default_rng(1))
         except RecordingError as error:
             said = str(error).strip()

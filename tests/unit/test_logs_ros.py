@@ -12,7 +12,7 @@ import pytest
 from rosbags.rosbag2 import CompressionMode
 
 from msp_lab.logs import ros
-from msp_lab.logs.log import VehicleLog
+from msp_lab.logs.log import LogRequest, VehicleLog
 from msp_lab.logs.opening import open_log
 from msp_range.recording.error import RecordingError
 from tests.support.flight_logs import height_m, write_bag
@@ -49,10 +49,10 @@ def test_a_single_file_of_a_bag_is_enough(tmp_path: Path, form: str) -> None:
 
 def test_any_field_of_a_topic(tmp_path: Path) -> None:
     path = write_bag(tmp_path, "ros1")
-    reference = open_log(path, field="/vrpn/drone/pose.pose.orientation.w").references[-1]
+    reference = open_log(path, LogRequest(field="/vrpn/drone/pose.pose.orientation.w")).references[-1]
     assert (reference.kind, reference.series.values[0]) == ("column", pytest.approx(np.cos(0.05)))
     with pytest.raises(RecordingError, match="orientation"):
-        open_log(path, field="/vrpn/drone/pose.orientation.w")
+        open_log(path, LogRequest(field="/vrpn/drone/pose.orientation.w"))
 
 
 @pytest.mark.slow

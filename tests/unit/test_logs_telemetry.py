@@ -8,6 +8,7 @@ import pytest
 from pymavlink import mavutil
 
 from msp_lab.logs.elsewhere import reference_of
+from msp_lab.logs.log import LogRequest
 from msp_lab.logs.opening import open_log
 from msp_lab.logs.truth import Truth
 from msp_range.mavlink.dialect import dialect
@@ -39,7 +40,7 @@ def test_heights_of_an_ekf_are_refused_in_a_column_by_the_parameters(tmp_path: P
     named = "GLOBAL_POSITION_INT.relative_alt"
     for posz, begins in ((1.0, ""), (2.0, "EK3_SRC1_POSZ is 2")):
         path = write_telemetry(tmp_path / f"{posz:g}.tlog", telemetry(posz=posz))
-        found = open_log(path, field=named).references
+        found = open_log(path, LogRequest(field=named)).references
         column = next(each for each in found if each.kind == "column")
         assert column.refused.startswith(begins)
         assert bool(column.refused) == bool(begins)
@@ -121,10 +122,10 @@ def test_frames_are_those_of_pymavlink(tmp_path: Path) -> None:
 
 def test_any_field_of_a_message(tmp_path: Path) -> None:
     path = write_telemetry(tmp_path / "a.tlog", telemetry())
-    reference = open_log(path, field="VFR_HUD.throttle").references[-1]
+    reference = open_log(path, LogRequest(field="VFR_HUD.throttle")).references[-1]
     assert (reference.kind, reference.series.values[0]) == ("column", 42.0)
     with pytest.raises(RecordingError, match=r"common messages have no VFR_HUD\.thrott"):
-        open_log(path, field="VFR_HUD.thrott")
+        open_log(path, LogRequest(field="VFR_HUD.thrott"))
 
 
 def test_a_cut_and_damaged_log_gives_what_is_whole(tmp_path: Path) -> None:

@@ -156,23 +156,22 @@ def chosen(points: Sequence[Point], beginnings: Sequence[str], option: str) -> f
     return frozenset(found)
 
 
+@dataclass
 class _Session:
     """One session at the bench."""
 
-    def __init__(self, collection: Collection, bench: Bench, store: Store, operator: Operator) -> None:
-        self._campaign = collection.campaign
-        self._again = collection.again
-        self._numbers = {point.name: number for number, point in enumerate(collection.points, start=1)}
-        self._bench = bench
-        self._store = store
-        self._operator = operator
-        self._before: Point | None = None
+    collection: Collection
+    bench: Bench
+    store: Store
+    operator: Operator
+    before: Point | None = None
+    """The point that was set up last; None: none in this session."""
 
     def go_through(self, todo: Sequence[Point]) -> None:
         skipped: list[Point] = []
         for last_round in (False, True):
             for point in skipped if last_round else todo:
-                decision = self._visit(point, anew=point.name in self._again)
+                decision = self._visit(point, anew=point.name in self.collection.again)
                 if decision is Decision.STOP:
                     return
                 if decision is Decision.SKIP and not last_round:
@@ -181,20 +180,21 @@ class _Session:
     def _visit(self, point: Point, *, anew: bool) -> Decision:
         """Set up and read a point until it is kept."""
         while True:
-            attempt = self._store.next_attempt(point, again=anew)
-            place = Place(self._numbers[point.name], len(self._numbers), had=attempt.readings[point.setup.sensors[0]])
-            arranged = self._operator.arrange(point, changes(self._before, point), place)
+            attempt = self.store.next_attempt(point, again=anew)
+            number, of = self.collection.points.index(point) + 1, len(self.collection.points)
+            place = Place(number, of, had=attempt.readings[point.setup.sensors[0]])
+            arranged = self.operator.arrange(point, changes(self.before, point), place)
             if arranged.decision is Decision.AGAIN:
                 # Before the first point of a session there is none to read again.
-                if self._before is not None and self._visit(self._before, anew=True) is Decision.STOP:
+                if self.before is not None and self._visit(self.before, anew=True) is Decision.STOP:
                     return Decision.STOP
                 continue
             if arranged.decision is not Decision.GO:
                 return arranged.decision
-            self._before = point
+            self.before = point
             decision, watches = self._read(point, attempt, {**point.columns, **arranged.measured})
             if decision is Decision.GO:
-                decision = self._operator.review(point, watches)
+                decision = self.operator.review(point, watches)
             if decision is not Decision.AGAIN:
                 return decision
             anew = True
@@ -202,24 +202,24 @@ class _Session:
     def _read(
         self, point: Point, attempt: Attempt, columns: dict[str, float | str]
     ) -> tuple[Decision, dict[str, PointWatch]]:
-        bus, passed_over = self._bench.begin(point, attempt.number, columns, attempt.rangings)
-        self._store.begin(point, attempt, resumed=passed_over > 0)
+        bus, passed_over = self.bench.begin(point, attempt.number, columns, attempt.rangings)
+        self.store.begin(point, attempt, resumed=passed_over > 0)
         nearest_cm = float(columns["true_range_cm"])
         slant_cm = nearest_cm / cos(radians(float(columns["incidence_deg"])))
         watches = {name: PointWatch(name, (nearest_cm, slant_cm)) for name in point.setup.sensors}
-        clock = self._bench.clock
+        clock = self.bench.clock
         end_s = self._end_s(point, nearest_cm)
         silent, reports = Counter[str](), 0
         fresh = dict(columns)
         self._update_air(fresh, clock.now())
-        for number, known in enumerate(rangings(self._campaign, point, fresh, bus, clock)):
+        for number, known in enumerate(rangings(self.collection.campaign, point, fresh, bus, clock)):
             reading = known.ranging.reading
             if reading.time_s > end_s:
                 break
             if number >= passed_over:
-                self._store.keep(attempt, known)
+                self.store.keep(attempt, known)
                 outlier = watches[reading.sensor].update(reading)
-                if self._operator.on_reading(point, watches, reading, outlier) is Decision.STOP:
+                if self.operator.on_reading(point, watches, reading, outlier) is Decision.STOP:
                     return Decision.STOP, watches
             enough = all(attempt.readings[name] >= point.readings for name in point.setup.sensors)
             if enough and point.setup.movement is None:
@@ -228,14 +228,14 @@ class _Session:
             if silent[reading.sensor] >= TROUBLE_AFTER:
                 reports += 1
                 silent.clear()
-                decision = self._operator.on_trouble(
+                decision = self.operator.on_trouble(
                     f"{reading.sensor}: no usable answer to {TROUBLE_AFTER} pings: "
                     f"{known.ranging.error or reading.status.value}"
                 )
                 if decision is not Decision.GO or reports >= GIVE_UP_AFTER:
                     return Decision.SKIP if decision is Decision.GO else decision, watches
             self._update_air(fresh, clock.now())
-        self._store.done(point, attempt)
+        self.store.done(point, attempt)
         return Decision.GO, watches
 
     def _end_s(self, point: Point, start_cm: float) -> float:
@@ -244,11 +244,11 @@ class _Session:
         movement = point.setup.movement
         if movement is None:
             return float("inf")
-        return self._bench.clock.now() + abs((movement.to_cm - start_cm) / movement.rate_cm_s)
+        return self.bench.clock.now() + abs((movement.to_cm - start_cm) / movement.rate_cm_s)
 
     def _update_air(self, columns: dict[str, float | str], now_s: float) -> None:
         """Update the air temperature from the thermometer, at both ends where the plan has the same for both."""
-        air_c = self._bench.air_c(now_s)
+        air_c = self.bench.air_c(now_s)
         if air_c is None:
             return
         before = columns.get("air_temperature_c")

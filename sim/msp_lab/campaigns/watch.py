@@ -6,12 +6,11 @@ and the fit decides what it is.
 
 import math
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from msp_range.arrays import Array
 from msp_range.reading import Reading, Status
 
 CORE_LEAST_CM = 4.0
@@ -95,7 +94,7 @@ class PointWatch:
     @property
     def median_cm(self) -> float | None:
         """Median of the readings with an echo [cm]."""
-        return _median(self.counts) if self.counts else None
+        return float(np.median(self._echoes_cm())) if self.counts else None
 
     def warnings(self) -> list[str]:
         """Return what to check before the set-up is changed."""
@@ -119,14 +118,16 @@ class PointWatch:
             found.append(f"{self.sensor}: {count} pings without a usable answer ({status.value}), asked again")
         return found
 
+    def _echoes_cm(self) -> Array:
+        """The readings with an echo, in the order of their values' first ones [cm]."""
+        return np.repeat(np.array([*self.counts], dtype=float), [*self.counts.values()])
+
     def _find_core(self) -> tuple[float, float]:
         median_cm = self.median_cm
         if median_cm is None:
             return -math.inf, math.inf
-        deviations: Counter[float] = Counter()
-        for reading_cm, count in self.counts.items():
-            deviations[abs(reading_cm - median_cm)] += count
-        reach_cm = max(CORE_LEAST_CM, CORE_SPREADS * 1.4826 * _median(deviations))
+        deviations_cm = np.abs(self._echoes_cm() - median_cm)
+        reach_cm = max(CORE_LEAST_CM, CORE_SPREADS * 1.4826 * float(np.median(deviations_cm)))
         return median_cm - reach_cm, median_cm + reach_cm
 
     def _why(self, reading: Reading) -> str:
@@ -135,8 +136,3 @@ class PointWatch:
         median_cm = self.median_cm or 0.0
         away_cm = (reading.raw or 0) - median_cm
         return f"{abs(away_cm):g} cm {'longer' if away_cm > 0 else 'shorter'} than the others"
-
-
-def _median(counts: Mapping[Any, int]) -> float:
-    """Median of values with counts, at least one."""
-    return float(np.median(np.repeat(list(counts), list(counts.values()))))

@@ -262,8 +262,6 @@ def read_messages(path: Path, wanted: Mapping[str, Sequence[str]], progress: Pro
         while new := file.read(PIECE_BYTES):
             begins, piece = len(formats), formats + rest + new
             offsets = _index(path, piece)
-            if not offsets[_FMT]:
-                raise RecordingError(f"{path}: no dataflash log: it begins with {piece[:8]!r}")
             # The last message may go on in the next piece, and is read with that one.
             end, in_messages = begins, 0
             for kind, form in _formats(piece, offsets[_FMT]).items():
@@ -294,12 +292,12 @@ def read_messages(path: Path, wanted: Mapping[str, Sequence[str]], progress: Pro
 
 def _index(path: Path, piece: bytes) -> list[list[int]]:
     """Places of the messages of each type in a piece that begins with the log's formats."""
-    if len(piece) < _FMT_BYTES or MAGIC not in piece:
+    found: list[list[int]] = []
+    if len(piece) >= _FMT_BYTES and MAGIC in piece:
+        with _silent():
+            found = dfindexer.build_offsets(memoryview(piece), _FMT, _FMT_BYTES, 3, 4, *MAGIC, progress_callback=None)
+    if not found or not found[_FMT]:
         raise RecordingError(f"{path}: no dataflash log: it begins with {piece[:8]!r}")
-    with _silent():
-        found: list[list[int]] = dfindexer.build_offsets(
-            memoryview(piece), _FMT, _FMT_BYTES, 3, 4, *MAGIC, progress_callback=None
-        )
     return found
 
 

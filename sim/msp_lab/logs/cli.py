@@ -156,15 +156,13 @@ def with_logs_imported(
     from msp_lab.logs.truth import NONE, OTHERS, RECORDED, Truth, parse_truth
     from msp_lab.readings.dataset import is_dataset
 
-    logs = [path for path in measured if is_flight_log(path)]
-    if truth in (RECORDED, OTHERS) and not logs:
+    to_import = measured if truth not in (RECORDED, OTHERS) else [path for path in measured if is_flight_log(path)]
+    if not to_import:
         return measured, truth
     # With the others as reference the comparison itself finds it.
     wanted = Truth() if truth == RECORDED else Truth(NONE) if truth == OTHERS else parse_truth(truth)
-    as_they_are = [path for path in measured if path not in logs] if truth in (RECORDED, OTHERS) else []
     if is_dataset(out):
         shutil.rmtree(out)
-    to_import = [path for path in measured if path not in as_they_are]
     imported, failed = run_import(to_import, _common(out, wanted, column_map=column_map))
     if failed:
         raise RecordingError("\n".join(failed.values()))
@@ -172,7 +170,7 @@ def with_logs_imported(
         from msp_lab.logs.show import show
 
         show(imported)
-    return [*as_they_are, out], truth if truth == OTHERS else RECORDED
+    return [*(path for path in measured if path not in to_import), out], truth if truth == OTHERS else RECORDED
 
 
 app.command("import")(_import)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import correlate, correlation_lags
 
-from msp_lab.logs.log import Series, TruthSource, VehicleLog, series
+from msp_lab.logs.log import LogRequest, Series, TruthSource, VehicleLog, series
 from msp_lab.logs.opening import TABLE, format_of, open_log
 from msp_lab.logs.truth import Truth, choose
 from msp_range.arrays import Array
@@ -42,7 +42,7 @@ SMOOTHED = 5
 
 
 def reference_of(path: Path, truth: Truth, log: VehicleLog, maximum_cm: float) -> tuple[TruthSource, float]:
-    """The reference of a log in another file, and by how much its clock differs [s]; the maximum as for `open_log`.
+    """The reference of a log in another file, and by how much its clock differs [s]; the maximum as of `LogRequest`.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def reference_of(path: Path, truth: Truth, log: VehicleLog, maximum_cm: float) -
             raise RecordingError(f"{path}: of a CSV file --truth needs the column: column:NAME*FACTOR@{path.name}")
         reference = TruthSource("column", _column(path, truth))
     else:
-        found = choose(open_log(path, field=truth.field, maximum_cm=maximum_cm), truth)
+        found = choose(open_log(path, LogRequest(field=truth.field, maximum_cm=maximum_cm)), truth)
         if found is None:
             raise RecordingError(f"{path}: no reference in this file")
         reference = found

@@ -12,7 +12,7 @@ import numpy as np
 from msp_lab.logs.alignment import Interval
 from msp_lab.logs.elsewhere import reference_of
 from msp_lab.logs.join import Joined, join
-from msp_lab.logs.log import Ranger, TruthSource, VehicleLog
+from msp_lab.logs.log import LogRequest, Ranger, TruthSource, VehicleLog
 from msp_lab.logs.opening import RECORDING, format_of, open_log
 from msp_lab.logs.truth import OTHERS, RECORDED, Truth, choose, is_same
 from msp_lab.readings.column_map import ColumnMap
@@ -236,7 +236,7 @@ def import_log(common: Import, named: NamedLog) -> list[Imported]:
 
     share(0.0)
     field = "" if truth.file else truth.field
-    log = open_log(path, share, field=field, column_map=common.column_map, maximum_cm=common.sensor.maximum_cm)
+    log = open_log(path, LogRequest(share, field, common.column_map, common.sensor.maximum_cm))
     if not log.rangers:
         raise RecordingError(f"{path}: no readings of a range finder in this {log.form}")
     if truth.kind == RECORDED and not any(TRUE_RANGE in ranger.columns for ranger in log.rangers):

@@ -1,11 +1,10 @@
 """Which format a log has, by its first bytes and its name, and the reader for it."""
 
 import pkgutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
-from msp_lab.logs.log import LogFormat, LogRequest, VehicleLog, ignored
-from msp_lab.readings.column_map import ColumnMap
+from msp_lab.logs.log import LogFormat, LogRequest, VehicleLog
 from msp_lab.readings.dataset import is_dataset
 from msp_range.extras import require
 from msp_range.input_file import open_input
@@ -39,28 +38,22 @@ _ROS_PROFILES = (b"\4\0\0\0ros2", b"\4\0\0\0ros1")
 """How the header of an MCAP file goes on after 8 bytes of magic, the record's kind and its length (mcap.dev/spec)."""
 
 
-def open_log(
-    path: Path,
-    progress: Callable[[float], None] = ignored,
-    *,
-    field: str = "",
-    column_map: ColumnMap | None = None,
-    maximum_cm: float = float("inf"),
-) -> VehicleLog:
-    """Read a log of any format, a file or the folder of a ROS 2 bag; the other parameters are those of `LogRequest`.
+def open_log(path: Path, asked: LogRequest | None = None) -> VehicleLog:
+    """Read a log of any format, a file or the folder of a ROS 2 bag, with what is asked of its reader.
 
     Raises
     ------
     RecordingError
         It cannot be read, or is of no format that is known.
     """
+    asked = asked or LogRequest()
     found = format_of(path)
-    if column_map is not None and found is not TABLE:
+    if asked.column_map is not None and found is not TABLE:
         raise RecordingError(f"{path}: --map is for CSV tables, and this is a {found.what}")
     if found.is_flight:
         require("logs", f"Reading a {found.what}")
     try:
-        log: VehicleLog = pkgutil.resolve_name(found.reader)(path, LogRequest(progress, field, column_map, maximum_cm))
+        log: VehicleLog = pkgutil.resolve_name(found.reader)(path, asked)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
     return log

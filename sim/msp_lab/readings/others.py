@@ -235,23 +235,17 @@ def _linear(views: Sequence[View], state: Array) -> tuple[Array, Array]:
 
 def _smoothed(time_s: Array, reading_m: Array, geometry: Array, sets: Array) -> Smoothed:
     """Smoothing with the powers of jerk and slope that the readings themselves make most likely."""
-    whole = sets[-1:]
-    tried = np.repeat(whole, len(JERKS), axis=0)
-    powers = np.repeat(np.array(JERKS)[:, None], time_s.size, axis=1)
-    middle = np.full(len(JERKS), SLOPES_PER_S[1])
-    likely = smooth(time_s, reading_m, geometry, tried, powers, middle, backward=False).log_likelihood
-    summed = np.concatenate([np.zeros((len(JERKS), 1)), np.cumsum(likely, axis=1)], axis=1)
+    powers, slopes, slope = np.array(JERKS), np.array(SLOPES_PER_S), SLOPES_PER_S[1]
+    tried = np.repeat(sets[-1:], powers.size, axis=0)
+    likely = smooth(time_s, reading_m, geometry, tried, powers[:, None], slope, backward=False).log_likelihood
+    summed = np.concatenate([np.zeros((powers.size, 1)), np.cumsum(likely, axis=1)], axis=1)
     first, last = (np.searchsorted(time_s, time_s + shift) for shift in (-JERK_WINDOW_S, JERK_WINDOW_S))
-    jerk = np.array(JERKS)[np.argmax(summed[:, last] - summed[:, first], axis=0)]
-    slope = SLOPES_PER_S[1]
+    jerk = powers[np.argmax(summed[:, last] - summed[:, first], axis=0)]
     if np.any(geometry[:, [NORTH, EAST]]):
-        tried = np.repeat(whole, len(SLOPES_PER_S), axis=0)
-        powers = np.repeat(jerk[None], len(SLOPES_PER_S), axis=0)
-        slopes = np.array(SLOPES_PER_S)
-        likely = smooth(time_s, reading_m, geometry, tried, powers, slopes, backward=False).log_likelihood
+        tried = np.repeat(sets[-1:], slopes.size, axis=0)
+        likely = smooth(time_s, reading_m, geometry, tried, jerk, slopes, backward=False).log_likelihood
         slope = SLOPES_PER_S[int(np.argmax(likely.sum(axis=1)))]
-    powers = np.repeat(jerk[None], sets.shape[0], axis=0)
-    return smooth(time_s, reading_m, geometry, sets, powers, np.full(sets.shape[0], slope))
+    return smooth(time_s, reading_m, geometry, sets, jerk, slope)
 
 
 def _excess(off_cm: Array, expected_cm2: Array, sensor: Indices, rows: Flags, sensors: int) -> Array:

@@ -51,7 +51,7 @@ def smooth(
     geometry: Array,
     variance_m2: Array,
     jerk: Array,
-    slope_per_s: Array,
+    slope_per_s: Array | float,
     backward: bool = True,
 ) -> Smoothed:
     """Filter forwards, and back.
@@ -65,23 +65,23 @@ def smooth(
     variance_m2
         Of that noise, (B, n); infinite: not in this set.
     jerk
-        Power of the white jerk by which the vehicle moves, (B, n) [m^2/s^5].
+        Power of the white jerk by which the vehicle moves [m^2/s^5]; of a shape that broadcasts to (B, n).
     slope_per_s
-        Growth of the slope's variance, (B,) [1/s].
+        Growth of the slope's variance, (B,), or one for all [1/s].
     backward
         False: the filtered states, for their likelihood.
     """
-    sets, n = variance_m2.shape
+    (sets, n), jerk = variance_m2.shape, np.broadcast_to(jerk, variance_m2.shape)
     mean, ahead_mean = np.zeros((2, sets, n, 5))
     covariance, ahead_covariance = np.zeros((2, sets, n, 5, 5))
     log_likelihood = np.zeros((sets, n))
-    moves, noises = _steps(time_s)
+    pauses_s = np.minimum(np.diff(time_s, prepend=time_s[0]), MAX_STEP_S)
+    moves, noises = _steps(pauses_s)
     x, p = np.zeros((sets, 5)), np.broadcast_to(np.diag(START_STD**2), (sets, 5, 5)).copy()
     first = np.flatnonzero(np.isfinite(variance_m2).any(axis=0))
     x[:, HEIGHT] = reading_m[first[0]] if first.size else 0.0
     refused, slope_noise = np.zeros(sets), np.zeros((sets, 5, 5))
     slope_noise[:, NORTH, NORTH] = slope_noise[:, EAST, EAST] = slope_per_s
-    pauses_s = np.minimum(np.diff(time_s, prepend=time_s[0]), MAX_STEP_S)
     for i in range(n):
         move = moves[i]
         x = ahead_mean[:, i] = x @ move.T
@@ -107,9 +107,8 @@ def smooth(
     return Smoothed(mean, covariance, log_likelihood)
 
 
-def _steps(time_s: Array) -> tuple[Array, Array]:
-    """How the state moves from one time to the next, and what a unit of white jerk adds to its covariance."""
-    t = np.minimum(np.diff(time_s, prepend=time_s[0]), MAX_STEP_S)
+def _steps(t: Array) -> tuple[Array, Array]:
+    """How the state moves in each of these times t [s], and what a unit of white jerk adds to its covariance."""
     moves = np.broadcast_to(np.eye(5), (t.size, 5, 5)).copy()
     moves[:, HEIGHT, CLIMB] = moves[:, CLIMB, ACCELERATION] = t
     moves[:, HEIGHT, ACCELERATION] = t * t / 2.0
