@@ -373,9 +373,10 @@ class Fusion:
 
         While the sensors read their minimum the filter of the height does not see that the vehicle climbs.
         """
+        if self._time_s - parent.least_s > self._windows.fresh_s:
+            return False
         off_m = seen.height_m - parent.filter.height_m
-        by_motion_m = parent.response.offs_m(self._height_reading(look, seen))[0]
-        if self._time_s - parent.least_s > self._windows.fresh_s or by_motion_m > min(NEAR_M, LIFTS * abs(off_m)):
+        if parent.response.offs_m(self._height_reading(look, seen))[0] > min(NEAR_M, LIFTS * abs(off_m)):
             return False
         parent.filter.shift(off_m, STEP_STD_M**2, STEP_CLIMB_STD_M_S**2)
         return True

@@ -171,10 +171,10 @@ DECIDED_APART = -4.0
 late look alike. More decides later."""
 UNANSWERED, ANSWERED, ANSWERED_MOST, AWAY_M = -3.0, 5.0, 6.0, 0.8
 """Below the first log odds a surface is not thought to move with the measured acceleration any more, and answers that
-were late on the ground before are late on a new one, too. Above the second,
-more than one reading can show, one that was low when it was first seen, as before a take-off, is no payload; nor is one
-that is farther away by now than the last [m]. The third is how much an answer counts at most: it says that a surface is
-not fixed to the vehicle, not that two sensors see no drift. Larger believes slopes of 80 %."""
+were late on the ground before are late on a new one, too. Above the second, more than one reading can show, one that
+was low when it was first seen, as before a take-off, is no payload; nor is one that is farther away by now than the
+last [m]. The third is how much an answer counts at most: it says that a surface is not fixed to the vehicle, not that
+two sensors see no drift. Larger believes slopes of 80 %."""
 
 # What repeats itself.
 STUCK_READINGS, REPEATED_READINGS = 3, 5

@@ -36,6 +36,8 @@ from evaluation.faults.plans import draw_plan
         pytest.param(824, 1_000_963, 0.0, None, id="one constant of two sensors, as likely as a step"),
         pytest.param(825, 1_000_129, 1.0, None, id="an outlier of one sensor at a height that two others are wrong by"),
         pytest.param(827, 1_000_770, 0.0, None, id="eight slow sensors see a strap, and the barometer a climb"),
+        pytest.param(827, 1_000_366, 0.0, 0.5, id="a step where a hover's noise has left a little doubt"),
+        pytest.param(825, 1_000_744, 0.0, 0.5, id="a landed vehicle whose barometer rises"),
         pytest.param(821, 1_000_557, 0.0, 1.0, id="the ground next to a box that more than half have met for a moment"),
         pytest.param(1, 445, 0.0, None, id="a ground that more sensors find again than see the wrong one"),
         pytest.param(1, 497, 0.0, 1.0, id="an outlier in a hover that follows the motion and not what is fixed"),

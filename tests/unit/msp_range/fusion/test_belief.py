@@ -561,6 +561,27 @@ def test_what_is_as_near_as_a_part_of_the_vehicle_is_one_more_of_it() -> None:
     assert math.exp(far.common) == pytest.approx(COMMON)
 
 
+def test_at_an_edge_that_is_sent_what_two_of_four_see_is_no_doubt() -> None:
+    """Either alone is about as likely the ground, and the higher one has not answered to the motion."""
+    motion = VerticalMotion()
+    modes = [SensorMode(DownwardSensor((0.0, 0.0, 0.0), DOWN, "slant")) for _ in range(4)]
+    belief = Belief(modes, motion, Windows())
+    belief.predict(0.0)
+    higher, ground = belief.surfaces = [
+        Surface(GroundFilter(height_m, 1e-4, Rate(0.0, 0.01)), prior, math.log(COMMON), MotionResponse(motion, 0.4))
+        for height_m, prior in ((1.4, -1.0), (2.0, 0.0))
+    ]
+    higher.evidence = ground.evidence = 15.0
+    higher.response._fixed = -4.0
+    belief.proven = belief.reference = ground
+    for mode, surface in zip(modes, (higher, higher, ground, ground), strict=True):
+        mode.see(surface, 0.0)
+    belief.weigh()
+    assert belief.ground is ground
+    assert belief.sure > 0.99
+    assert belief.doubt is None
+
+
 def noise_of(sees: Sequence[int | None], noise: Sequence[float], readings: Sequence[int], evidence: float) -> float:
     """How probable it is that all is noise, of sensors that see the ground so far (0), a box (1), an outlier (2)."""
     motion = VerticalMotion()

@@ -294,6 +294,7 @@ def test_answers_that_seem_late_on_a_surface_are_so_where_they_have_been_on_the_
     before.suspect_late(20.0)
     new.confirm_late(before)
     assert new.is_late is (nats > 0.0)
+    assert new._late == pytest.approx(before._late if nats else 0.0), "as much is needed to show that they are in time"
 
 
 def test_a_turn_as_short_as_an_accelerometers_delay_decides_nothing() -> None:
