@@ -5,9 +5,9 @@ an offset that is integrated out. With the slopes s by an offset as normal numbe
 runs' means m_u, n_u their counts, N their number and rho the variance between runs over that within, a fit's
 log-likelihood grows by the largest over rho of ``N log((W + sum n_u m_u^2) / (W + sum n_u m_u^2 / (1 + n_u rho))) / 2 -
 sum log(1 + n_u rho) / 2``, the likelihood ratio of the one-way normal model (Searle, Casella & McCulloch 1992, Variance
-Components). What is evident inside runs counts as it is, whatever the number of runs; what is evident only between runs
-counts by Student's t of as many runs. So an effect is judged at the level at which it varies: that of the shift by
-which the two fits differ.
+Components). What is evident inside runs counts as it is, whatever the number of runs: the gain that is left where each
+run has the best offset of its own, at ``N log((W + sum n_u m_u^2) / W) / 2`` in both fits. The rest is evident only
+between runs, and counts by Student's t of as many runs. So an effect is judged at the level at which it varies.
 
 The normal model can put down to offsets what an effect explains as well, above all where blocks of one run stand in for
 runs. So a gain counts for at least what its own scatter over whole runs says: the plain gain over the variance of its
@@ -30,6 +30,7 @@ from msp_lab.gap import rules
 from msp_lab.gap.refit import JointFit
 from msp_lab.gap.runs import places_in, share_between
 from msp_range.arrays import Array, Flags, Indices, numbered
+from msp_range.numbers import limited
 
 RATIO_GRID = np.geomspace(1e-6, 1e4, 101)
 """Variances between runs at which the likelihood is computed, over the variance within them."""
@@ -41,6 +42,8 @@ class Offsets:
 
     nats: float
     """What they add to the log-likelihood if they are integrated out, at least 0 [nat]."""
+    free_nats: float
+    """What they add if each run has the best offset of its own [nat]."""
     slope_removed: Array
     """Mean slope of each run with readings, as far as an offset accounts for it, (runs,); 0 for the others."""
 
@@ -53,14 +56,15 @@ def offsets_of(fit: JointFit, unit: Indices) -> Offsets:
     between = counts * mean**2
     within = float((slope**2).sum() - between.sum())
     if within <= 0.0:
-        return Offsets(0.0, np.zeros(counts.size))
+        return Offsets(0.0, 0.0, np.zeros(counts.size))
     shrunk = 1.0 + RATIO_GRID[:, None] * counts
     spread = within + (between / shrunk).sum(axis=1)
     gained = slope.size * np.log((within + between.sum()) / spread) - np.log(shrunk).sum(axis=1)
     best = int(gained.argmax())
+    free_nats = 0.5 * slope.size * float(np.log1p(between.sum() / within))
     if gained[best] <= 0.0:
-        return Offsets(0.0, np.zeros(counts.size))
-    return Offsets(0.5 * float(gained[best]), mean * (1.0 - 1.0 / shrunk[best]))
+        return Offsets(0.0, free_nats, np.zeros(counts.size))
+    return Offsets(0.5 * float(gained[best]), free_nats, mean * (1.0 - 1.0 / shrunk[best]))
 
 
 def _log_p_beside_offsets(fit: JointFit, unit: Indices, offsets: Offsets) -> Array:
@@ -82,7 +86,7 @@ def wander_inflation(smaller: JointFit, larger: JointFit, unit: Indices) -> floa
 
     Where readings wander, the gain counts by the scatter of its own sums over blocks of consecutive readings.
     """
-    return _inflation(larger.here.log_p - smaller.here.log_p, blocks_of(unit)) if wanders(larger, unit) else 1.0
+    return _scatter(larger.here.log_p - smaller.here.log_p, blocks_of(unit))[0] if wanders(larger, unit) else 1.0
 
 
 def wanders(fit: JointFit, unit: Indices) -> bool:
@@ -105,14 +109,19 @@ def wanders(fit: JointFit, unit: Indices) -> bool:
     return float(chdtrc(freedom, scatter)) <= rules.WANDER_P
 
 
-def _inflation(gain: Array, unit: Indices) -> float:
-    """Variance of a gain's sums over units against that of as many independent readings, at least 1."""
+def _scatter(gain: Array, unit: Indices) -> tuple[float, float]:
+    """Variance of a gain's sums over units against that of as many independent readings, at least 1; and from how many
+    units that is known: a few that the gain is about say little of it, however many others there are (Satterthwaite
+    1946, Biometrics Bulletin 2, 110)."""
     gain = gain - gain.mean()
-    whole = float((gain**2).sum())
-    return max(float((np.bincount(unit, gain) ** 2).sum()) / whole, 1.0) if whole > 0.0 else 1.0
+    squares = np.bincount(unit, gain**2)
+    whole = float(squares.sum())
+    if not whole > 0.0:
+        return 1.0, 0.0
+    return max(float((np.bincount(unit, gain) ** 2).sum()) / whole, 1.0), whole**2 / float((squares**2).sum())
 
 
-def _by_scatter(nats: float, runs: int) -> float:
+def _by_scatter(nats: float, runs: float) -> float:
     """A gain whose error is known from so many runs, as that of one whose error is known."""
     if runs < 3 or nats <= 0.0:
         return 0.0
@@ -139,11 +148,13 @@ def evidence_nats(smaller: JointFit, larger: JointFit, unit: Indices | None) -> 
     if unit is None:
         return plain
     runs = np.unique(unit).size
-    gained = plain + offsets_of(larger, unit).nats - offsets_of(smaller, unit).nats
+    of_larger, of_smaller = offsets_of(larger, unit), offsets_of(smaller, unit)
+    gained = plain + of_larger.nats - of_smaller.nats
     if gained > 0.0:
-        inside = min((1.0 - shift_between(smaller, larger, unit)) * plain, gained)
+        inside = limited(plain + of_larger.free_nats - of_smaller.free_nats, 0.0, gained)
         gained = inside / wander_inflation(smaller, larger, unit) + _between(gained - inside, runs)
-    return max(gained, _by_scatter(plain / _inflation(larger.here.log_p - smaller.here.log_p, unit), runs))
+    inflation, known_from = _scatter(larger.here.log_p - smaller.here.log_p, unit)
+    return max(gained, _by_scatter(plain / inflation, known_from))
 
 
 def lead_nats(one: JointFit, other: JointFit, unit: Indices | None) -> float:
@@ -159,8 +170,8 @@ def lead_nats(one: JointFit, other: JointFit, unit: Indices | None) -> float:
     of_one, of_other = (offsets_of(fit, unit) for fit in (one, other))
     nats = plain + of_one.nats - of_other.nats
     gain = _log_p_beside_offsets(one, unit, of_one) - _log_p_beside_offsets(other, unit, of_other)
-    runs = np.unique(unit).size
-    return float(np.copysign(_by_scatter(abs(nats) / _inflation(gain, unit), runs), nats))
+    inflation, known_from = _scatter(gain, unit)
+    return float(np.copysign(_by_scatter(abs(nats) / inflation, known_from), nats))
 
 
 def of_one_run(nats: float, fit: JointFit, unit: Indices, run: Flags) -> float:

@@ -153,7 +153,20 @@ class Problem:
             return evidence_nats(smaller, larger, None)
         left = self.dependence(larger)
         follow = left.lag_correlation if left.lag_z > rules.DEPENDENT_LAG_Z else 0.0
-        return evidence_nats(smaller, larger, self.unit) * (1.0 - follow) / (1.0 + follow)
+        gained = evidence_nats(self._at_correlation(smaller, larger.base), larger, self.unit)
+        return gained * (1.0 - follow) / (1.0 + follow)
+
+    def _at_correlation(self, fit: JointFit, base: Base) -> JointFit:
+        """A fit at another base's correlation of neighbours, in which it would have offsets of runs as well.
+
+        What explains some of the offsets would else gain what the correlation within runs is nearer to the truth.
+        """
+        if fit.base.correlation == base.correlation:
+            return fit
+        base = fit.base._replace(correlation=base.correlation)
+        here = self.readings.slopes(base, fit.effects)
+        changed = float((here.log_p - fit.here.log_p).sum())
+        return replace(fit, base=base, here=here, log_likelihood=fit.log_likelihood + changed)
 
     def gain_where_truth_moves(self, smaller: JointFit, larger: JointFit) -> float:
         """Gain of readings at which the true range is a sigma or more from that of the one before [nat].
@@ -168,10 +181,11 @@ class Problem:
 
     def candidate_nats(self, smaller: JointFit, larger: JointFit, candidate: CandidateEffect, by_run: bool) -> float:
         """Evidence for a candidate, the last effect of the larger fit [nat], without the cost of the search."""
-        gained = self.evidence_nats(smaller, larger, by_run)
+        is_of_one_run = candidate.effect.per == "run"
+        gained = self.evidence_nats(smaller, larger, by_run and not is_of_one_run)
         if PREVIOUS in candidate.effect.requires:
             gained = min(gained, self.gain_where_truth_moves(smaller, larger))
-        if candidate.effect.per == "run":
+        if is_of_one_run:
             gained = of_one_run(gained, larger, self.unit, self.contexts["run"] == candidate.of)
         share = larger.effects[-1].values[candidate.parameter.name]
         # What changes most readings shows by those that it leaves, and these are too few to say how they come.
