@@ -13,7 +13,7 @@ from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Problem, first_state, reinformed, screened
 from msp_lab.gap.refit import JointFit, refit
 from msp_lab.gap.runs import draw_splits
-from msp_lab.gap.validation import CrossFits
+from msp_lab.gap.validation import CrossFits, CrossScore, validated
 from msp_range.reading_model.rows import Base
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model, make_curve_term
@@ -123,6 +123,43 @@ def test_sums_by_run_say_what_a_fit_of_a_part_does() -> None:
             # With one base for all parts the effect gains a little more, at most what it gains where all is fitted.
             assert gains[1] == pytest.approx(expected, abs=8.0)
             assert gains[1] < with_it.log_likelihood - without_it.log_likelihood + 3.0
+
+
+def test_an_offset_of_a_run_is_integrated_out_of_its_score() -> None:
+    """Against the integral over the offset, of a quadratic in it and one more number."""
+    slope, information = np.array([30.0, -4.0]), np.array([[50.0, 10.0], [10.0, 8.0]])
+    score = CrossScore(np.array([-70.0]), np.zeros(2), slope[None], information[None])
+    variance_cm2 = 0.3
+    offsets = np.linspace(-8.0, 8.0, 16001)
+
+    def marginal(other: float) -> float:
+        at = np.stack([offsets, np.full(offsets.size, other)])
+        log_p = -70.0 + slope @ at - 0.5 * np.einsum("in,ij,jn->n", at, information, at)
+        log_p -= 0.5 * offsets**2 / variance_cm2 + 0.5 * np.log(2.0 * np.pi * variance_cm2)
+        return float(np.log(np.exp(log_p + 70.0).sum() * 1e-3) - 70.0)
+
+    beside = score.beside_offsets(variance_cm2)
+    assert beside.by_run[0] == pytest.approx(marginal(0.0), abs=1e-6)
+    low, middle, high = (marginal(other) for other in (-0.01, 0.0, 0.01))
+    assert beside.slope[0, 1] == pytest.approx((high - low) / 0.02, rel=1e-4)
+    assert beside.information[0, 1, 1] == pytest.approx((2.0 * middle - low - high) / 1e-4, rel=1e-3)
+
+
+def test_offsets_of_runs_do_not_hide_an_effect_inside_them() -> None:
+    """Runs that are off by a sigma say the less of an effect the more they scatter; what it does inside them holds."""
+    contexts = flown(np.full(12, 20.0).tolist(), rows=200)
+    rng = np.random.default_rng(8)
+    late_cm = -0.008 * contexts["range_rate_cm_s"]
+    off_cm = np.repeat(2.0 * rng.standard_normal(12), 200)
+    reading_cm = np.array(sensor().readings((contexts["true_range_cm"] + late_cm + off_cm).tolist(), 5))
+    splits = draw_splits(contexts, np.random.default_rng(1))
+    problem = Problem.of(MODEL, contexts, reading_cm, splits.unit, np.random.default_rng(1))
+    (latency,) = [each for each in problem.candidates if each.effect.name == "latency"]
+    state = first_state(problem)
+    assert state.by_run
+    state = state.having(problem.refit([latency.at(8.0)], state.fit.base), [SelectedTerm(latency.at(8.0), latency)])
+    assert validated(problem, state, splits).agreement[latency.key].share == 1.0
+    assert not validated(problem, replace(state, by_run=False), splits).agreement
 
 
 @pytest.mark.parametrize(("runs", "asked"), [(2, 0), (3, 0), (4, 4), (20, 20), (40, 0)])

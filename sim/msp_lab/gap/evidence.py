@@ -46,6 +46,8 @@ class Offsets:
     """What they add if each run has the best offset of its own [nat]."""
     slope_removed: Array
     """Mean slope of each run with readings, as far as an offset accounts for it, (runs,); 0 for the others."""
+    variance_cm2: float = 0.0
+    """Their variance."""
 
 
 def offsets_of(fit: JointFit, unit: Indices) -> Offsets:
@@ -64,7 +66,9 @@ def offsets_of(fit: JointFit, unit: Indices) -> Offsets:
     free_nats = 0.5 * slope.size * float(np.log1p(between.sum() / within))
     if gained[best] <= 0.0:
         return Offsets(0.0, free_nats, np.zeros(counts.size))
-    return Offsets(0.5 * float(gained[best]), free_nats, mean * (1.0 - 1.0 / shrunk[best]))
+    # A slope is the residual over the fit's variance, in which the offsets are.
+    variance_cm2 = float(RATIO_GRID[best]) * within * slope.size / (within + between.sum()) ** 2
+    return Offsets(0.5 * float(gained[best]), free_nats, mean * (1.0 - 1.0 / shrunk[best]), variance_cm2)
 
 
 def _log_p_beside_offsets(fit: JointFit, unit: Indices, offsets: Offsets) -> Array:

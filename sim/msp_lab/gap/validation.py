@@ -18,6 +18,7 @@ import numpy as np
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import Key, SelectedTerm
 from msp_lab.gap.cell_fits import outer_sums
+from msp_lab.gap.evidence import offsets_of
 from msp_lab.gap.prepared import BASE
 from msp_lab.gap.problem import Problem, State, without
 from msp_lab.gap.refit import JointFit, inverse, refit, sums_by
@@ -36,6 +37,22 @@ class CrossScore(NamedTuple):
     information: Array
     """Slope and information of each run's log-likelihood by these, (runs, b) and (runs, b, b)."""
 
+    def beside_offsets(self, variance_cm2: float) -> "CrossScore":
+        """With a normal offset of this variance in each run, integrated out; the base's offset is the first number.
+
+        Of a run with slope s and information i by the offset the log-likelihood grows by ``v s^2 / (1 + v i) / 2 -
+        log(1 + v i) / 2``.
+        """
+        by_offset, slope = self.information[:, :, 0], self.slope[:, 0]
+        weight = variance_cm2 / (1.0 + variance_cm2 * by_offset[:, 0])
+        gained = 0.5 * (weight * slope**2 - np.log1p(variance_cm2 * by_offset[:, 0]))
+        return CrossScore(
+            self.by_run + gained,
+            self.base,
+            self.slope - (weight * slope)[:, None] * by_offset,
+            self.information - weight[:, None, None] * by_offset[:, :, None] * by_offset[:, None, :],
+        )
+
 
 @dataclass(frozen=True)
 class CrossFits:
@@ -47,6 +64,8 @@ class CrossFits:
     """Splits of their runs."""
     fit: JointFit
     """The fit of all readings."""
+    by_run: bool = False
+    """Whether runs may have offsets, which are integrated out of what is said of each."""
     kept: dict[tuple[int, int, bool], CrossScore] = field(default_factory=dict)
     """Scores of parts that were asked for."""
 
@@ -153,8 +172,17 @@ class CrossFits:
     def score(self, way: tuple[int, int], exact: bool) -> CrossScore:
         """What the fit without a part says of it, by a quadratic, or by a fit, some rounds from that of all runs."""
         if (*way, exact) not in self.kept:
-            self.kept[*way, exact] = self._by_fit(way) if exact else self._by_quadratic(way)
+            score = self._by_fit(way) if exact else self._by_quadratic(way)
+            variance_cm2 = self._offset_variance_cm2
+            self.kept[*way, exact] = score.beside_offsets(variance_cm2) if variance_cm2 > 0.0 else score
         return self.kept[*way, exact]
+
+    @cached_property
+    def _offset_variance_cm2(self) -> float:
+        """Variance of the runs' offsets; 0 where they have none, or the base's offset cannot move."""
+        if not self.by_run or 0 not in self.of_base:
+            return 0.0
+        return offsets_of(self.fit, self.problem.unit).variance_cm2
 
     def _by_fit(self, way: tuple[int, int]) -> CrossScore:
         unit, readings = self.problem.unit, self.problem.readings
@@ -275,10 +303,10 @@ class Validated:
 def validated(problem: Problem, state: State, splits: Splits) -> Validated:
     """Keep the terms that nearly all splits agree on; the worst is taken out first."""
     dropped: list[Dropped] = []
-    crossed = CrossFits(problem, splits, state.fit)
+    crossed = CrossFits(problem, splits, state.fit, state.by_run)
     while state.terms:
         smaller = [without(problem, state, k) for k in range(len(state.terms))]
-        before = [CrossFits(problem, splits, less.fit) for less in smaller]
+        before = [CrossFits(problem, splits, less.fit, less.by_run) for less in smaller]
         found = [_agreement(k, crossed, less) for k, less in enumerate(before)]
         worst = min(range(len(found)), key=lambda k: (found[k].share, found[k].gain.z))
         if found[worst].share >= rules.SPLITS_AGREE:
