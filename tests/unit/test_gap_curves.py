@@ -78,6 +78,23 @@ def hidden(channel: str, contexts: Columns, seed: int) -> Array:
     return np.where(is_changed, instead, read(contexts, seed))
 
 
+def test_offsets_of_runs_do_not_hide_what_another_channel_depends_on() -> None:
+    """By readings every column tells some offsets apart: it promises more of the bias than outliers over one column."""
+    contexts, rng = flown(3, runs=12), np.random.default_rng(5)
+    run = np.unique(contexts["run"], return_inverse=True)[1]
+    for name in ("air_temperature_c", "time_of_day_h", "supply_v", "wind_m_s", "sensor_temperature_c", "uptime_s"):
+        contexts[name] = rng.uniform(0.0, 20.0, 12)[run]
+    reading_cm = read(contexts, 3, 3.0 * rng.standard_normal(12)[run])
+    often = (number(contexts, "throttle") > 0.6) & (rng.random(N) < 0.06)
+    reading_cm[often] = np.rint(rng.uniform(20.0, 765.0, N))[often]
+    splits = draw_splits(contexts, np.random.default_rng(1))
+    problem = Problem.of(MODEL, contexts, reading_cm, splits.unit, np.random.default_rng(1))
+    base = first_state(problem)
+    assert base.by_run
+    shapes = [term.active.shape for term in add_curves(problem, base, 6.0, 3).terms]
+    assert [shape[:2] for shape in shapes if shape is not None] == [("random", ("throttle",))]
+
+
 def test_a_scan_of_correlated_readings_has_the_statistic_of_each_curve_alone() -> None:
     """Against the scores of its knots one by one, and what of them is left next to what is fitted."""
     contexts = flown(7, 600, 12)

@@ -5,6 +5,7 @@ nearly as much.
 """
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
@@ -20,8 +21,9 @@ from msp_lab.gap.curve_test import (
     step_of,
     values_in,
 )
-from msp_lab.gap.evidence import offsets_of, shift_between
+from msp_lab.gap.evidence import between_share, offsets_of
 from msp_lab.gap.findings import Alternative
+from msp_lab.gap.prepared import CHANNELS
 from msp_lab.gap.problem import Problem, State, loss, screened, trials, with_terms
 from msp_lab.gap.refit import has_range
 from msp_sim.effects.base import TRUE_RANGE
@@ -89,14 +91,15 @@ def far_curves(problem: Problem, state: State) -> list[CandidateCurve]:
 def _likeliest_curve(problem: Problem, state: State, *asked: list[CandidateCurve]) -> State | None:
     """With that of the curves that were asked in some ways which gains most after its refit; pairs need more.
 
-    Of each way it is the first of the likeliest that gains enough, and promises as much by its score. Readings propose,
-    and runs count after the refit, as for effects. A ripple is one of many periods, and has no cause: a curve over
+    Of each way and channel it is the first of the likeliest that gains enough, and promises as much by its score: what
+    offsets of runs promise of the bias says nothing of the others. Readings propose, and runs count after the refit, as
+    for effects. A ripple is one of many periods, and has no cause: a curve over
     another column comes before it that random variation makes less often, as any column does that alternates at even
     times.
     """
     least, found = np.log(rules.CURVE_P), {}
-    for forms in asked:
-        for form in forms[: rules.CURVES_REFITTED]:
+    for forms, channel in product(asked, CHANNELS):
+        for form in [form for form in forms if form.channel == channel][: rules.CURVES_REFITTED]:
             # What a curve of far hits gains before a refit, at the spread that they have caused, promises too little.
             if form.corrected > least and not form.start:
                 break
@@ -143,7 +146,7 @@ def _is_of_few_runs(problem: Problem, state: State, there: State, degrees: int) 
     """
     places, (active, unit) = problem.runs, (there.terms[-1].active, problem.unit)
     of_runs = any(active.shape is not None and names == active.shape[1] for names, _ in problem.asked_of_runs)
-    inside = not of_runs and shift_between(state.fit, there.fit, unit) <= rules.CURVE_OF_RUNS_SHARE
+    inside = not of_runs and between_share(state.fit, there.fit, unit) <= rules.CURVE_OF_RUNS_SHARE
     if inside or not state.by_run:
         return False
     if active.shape is not None and TRUE_RANGE in active.shape[1]:

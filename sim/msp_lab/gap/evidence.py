@@ -5,9 +5,9 @@ an offset that is integrated out. With the slopes s by an offset as normal numbe
 runs' means m_u, n_u their counts, N their number and rho the variance between runs over that within, a fit's
 log-likelihood grows by the largest over rho of ``N log((W + sum n_u m_u^2) / (W + sum n_u m_u^2 / (1 + n_u rho))) / 2 -
 sum log(1 + n_u rho) / 2``, the likelihood ratio of the one-way normal model (Searle, Casella & McCulloch 1992, Variance
-Components). What is evident inside runs counts as it is, whatever the number of runs: the gain that is left where each
-run has the best offset of its own, at ``N log((W + sum n_u m_u^2) / W) / 2`` in both fits. The rest is evident only
-between runs, and counts by Student's t of as many runs. So an effect is judged at the level at which it varies.
+Components). What is evident inside runs counts as it is, whatever the number of runs; what is evident only between runs
+counts by their mean errors, and by Student's t of as many runs. So an effect is judged at the level at which it varies:
+that of the shift by which the two fits differ.
 
 The normal model can put down to offsets what an effect explains as well, above all where blocks of one run stand in for
 runs. So a gain counts for at least what its own scatter over whole runs says: the plain gain over the variance of its
@@ -42,8 +42,6 @@ class Offsets:
 
     nats: float
     """What they add to the log-likelihood if they are integrated out, at least 0 [nat]."""
-    free_nats: float
-    """What they add if each run has the best offset of its own [nat]."""
     slope_removed: Array
     """Mean slope of each run with readings, as far as an offset accounts for it, (runs,); 0 for the others."""
     variance_cm2: float = 0.0
@@ -58,17 +56,16 @@ def offsets_of(fit: JointFit, unit: Indices) -> Offsets:
     between = counts * mean**2
     within = float((slope**2).sum() - between.sum())
     if within <= 0.0:
-        return Offsets(0.0, 0.0, np.zeros(counts.size))
+        return Offsets(0.0, np.zeros(counts.size))
     shrunk = 1.0 + RATIO_GRID[:, None] * counts
     spread = within + (between / shrunk).sum(axis=1)
     gained = slope.size * np.log((within + between.sum()) / spread) - np.log(shrunk).sum(axis=1)
     best = int(gained.argmax())
-    free_nats = 0.5 * slope.size * float(np.log1p(between.sum() / within))
     if gained[best] <= 0.0:
-        return Offsets(0.0, free_nats, np.zeros(counts.size))
+        return Offsets(0.0, np.zeros(counts.size))
     # A slope is the residual over the fit's variance, in which the offsets are.
     variance_cm2 = float(RATIO_GRID[best]) * within * slope.size / (within + between.sum()) ** 2
-    return Offsets(0.5 * float(gained[best]), free_nats, mean * (1.0 - 1.0 / shrunk[best]), variance_cm2)
+    return Offsets(0.5 * float(gained[best]), mean * (1.0 - 1.0 / shrunk[best]), variance_cm2)
 
 
 def _log_p_beside_offsets(fit: JointFit, unit: Indices, offsets: Offsets) -> Array:
@@ -78,11 +75,30 @@ def _log_p_beside_offsets(fit: JointFit, unit: Indices, offsets: Offsets) -> Arr
     return log_p
 
 
-def shift_between(smaller: JointFit, larger: JointFit, unit: Indices) -> float:
-    """Share of the variance of the shift from one fit to the other that lies between runs."""
-    # Residuals of normal readings are the slopes by an offset times the variance.
-    one, other = (fit.offset_slope / max(float((fit.offset_slope**2).mean()), 1e-12) for fit in (larger, smaller))
-    return share_between(one - other, unit)
+def between_share(smaller: JointFit, larger: JointFit, unit: Indices) -> float:
+    """Share of a gain that is made by moving whole runs: that of the hits' shift, as far as this is what gains."""
+    shift_cm = larger.here.rows.centre_cm - smaller.here.rows.centre_cm
+    shift_cm -= shift_cm.mean()
+    slope = larger.offset_slope
+    of_shift = float((slope * shift_cm + 0.5 * float((slope**2).mean()) * shift_cm**2).sum())
+    plain = max(larger.log_likelihood - smaller.log_likelihood, 1e-9)
+    return share_between(shift_cm, unit) * limited(of_shift / plain, 0.0, 1.0)
+
+
+def _means_nats(smaller: JointFit, larger: JointFit, unit: Indices, variance_cm2: float) -> float:
+    """What the runs' mean errors gain, as normal numbers with offsets of this variance: half their number times the log
+    of the ratio of their sums of squares.
+
+    The likelihood of the readings gains more: offsets are tails, outliers and correlation to a fit that lacks them.
+    """
+    counts = np.bincount(unit)
+    information = np.maximum(counts * float((larger.offset_slope**2).mean()), 1e-12)
+    weight = np.where(counts > 0, 1.0 / (variance_cm2 + 1.0 / information), 0.0)
+    squares = []
+    for slope in (smaller.offset_slope, larger.offset_slope):
+        mean_cm = np.bincount(unit, slope) / np.maximum(counts * float((slope**2).mean()), 1e-12)
+        squares.append(float(weight @ (mean_cm - np.average(mean_cm, weights=weight)) ** 2))
+    return 0.5 * float((counts > 0).sum() * np.log(max(squares[0], 1e-12) / max(squares[1], 1e-12)))
 
 
 def wander_inflation(smaller: JointFit, larger: JointFit, unit: Indices) -> float:
@@ -152,11 +168,12 @@ def evidence_nats(smaller: JointFit, larger: JointFit, unit: Indices | None) -> 
     if unit is None:
         return plain
     runs = np.unique(unit).size
-    of_larger, of_smaller = offsets_of(larger, unit), offsets_of(smaller, unit)
-    gained = plain + of_larger.nats - of_smaller.nats
+    of_larger = offsets_of(larger, unit)
+    gained = plain + of_larger.nats - offsets_of(smaller, unit).nats
     if gained > 0.0:
-        inside = limited(plain + of_larger.free_nats - of_smaller.free_nats, 0.0, gained)
-        gained = inside / wander_inflation(smaller, larger, unit) + _between(gained - inside, runs)
+        inside = min((1.0 - between_share(smaller, larger, unit)) * plain, gained)
+        between = min(gained - inside, _means_nats(smaller, larger, unit, of_larger.variance_cm2))
+        gained = inside / wander_inflation(smaller, larger, unit) + _between(between, runs)
     inflation, known_from = _scatter(larger.here.log_p - smaller.here.log_p, unit)
     return max(gained, _by_scatter(plain / inflation, known_from))
 
@@ -183,7 +200,8 @@ def of_one_run(nats: float, fit: JointFit, unit: Indices, run: Flags) -> float:
 
     Of many runs one is always the farthest off, and slow noise that the model misses moves the means of all. Their
     variance, relative to what the model says, is averaged with the model's own as `rules.RUN_SCATTER_FREEDOM` further
-    runs, and the gain counts by Student's t (a moderated t; Smyth 2004, Stat. Appl. Genet. Mol. Biol. 3).
+    runs, and the gain counts by Student's t (a moderated t; Smyth 2004, Stat. Appl. Genet. Mol. Biol. 3). Where they
+    scatter more than the model says, that says nothing of them, and they count alone.
 
     Parameters
     ----------
@@ -201,8 +219,10 @@ def of_one_run(nats: float, fit: JointFit, unit: Indices, run: Flags) -> float:
     own, freedom = rules.RUN_SCATTER_FREEDOM, others.size - 1
     if nats <= 0.0 or freedom < 1:
         return min(nats, 0.0)
-    scatter = (own + float((sums**2 / np.maximum(squares, 1e-300)).sum())) / (own + freedom)
-    return _by_scatter(nats / max(scatter, 1.0), int(own) + freedom + 2)
+    scatter = float((sums**2 / np.maximum(squares, 1e-300)).sum())
+    if chdtrc(freedom, scatter) <= rules.WANDER_P:
+        own = 0.0
+    return _by_scatter(nats / max((own + scatter) / (own + freedom), 1.0), own + freedom + 2.0)
 
 
 def _between(nats: float, runs: int) -> float:
