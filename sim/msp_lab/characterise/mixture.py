@@ -19,6 +19,7 @@ from msp_lab.mixture_fit.fit_result import FitError, FitResult
 from msp_lab.mixture_fit.grid import ReadingGrid
 from msp_lab.mixture_fit.parameters import KINDS, MIN_WEIGHT, PARAMETERS, with_floors
 from msp_lab.mixture_fit.pit import goodness_of_fit
+from msp_lab.readings.resolution import TOLERANCE, constants_cm
 from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.mixture import ReadingModel
@@ -45,12 +46,15 @@ def fit_mixture(
     except ValueError as error:
         raise FitError(str(error)) from None
     set_ups = [_placement_error(point, calibration) for point in points]
-    reading_cm, expected_cm, reference_std_cm = _readings(points, set_ups, calibration)
+    reading_cm, expected_cm, reference_std_cm, set_up = _readings(points, set_ups, calibration)
+    limits_cm = grid.minimum_cm, grid.maximum_cm
+    constant_cm = constants_cm(reading_cm, set_up.astype(np.intp), grid.resolution_cm, limits_cm)
+    reading_cm, expected_cm = reading_cm - constant_cm, expected_cm - constant_cm
     whole = grid.nearest(reading_cm)
     has_ranges = np.unique([round(point.range_cm, 1) for point in points]).size > 1
     result = fit_readings(whole, expected_cm, grid, growth=has_ranges, reference_std_cm=reference_std_cm)
     notes = []
-    if not np.array_equal(whole, reading_cm):
+    if (np.abs(whole - reading_cm) > TOLERANCE * grid.resolution_cm).any():
         notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm: their own step is none, or a finer one")
     good = goodness_of_fit(result, whole, expected_cm, rng, reference_std_cm=reference_std_cm)
     moved = tuple(set_up for set_up in set_ups if set_up is not None)
@@ -105,18 +109,18 @@ def _notes(
 
 def _readings(
     points: Sequence[PointReadings], set_ups: Sequence[PlacementError | None], calibration: Calibration
-) -> tuple[Array, Array, Array]:
-    """Answers [cm], the readings that are expected, and the standard deviation of the reference's own error."""
-    columns = [np.empty((3, 0))]
-    for point, set_up in zip(points, set_ups, strict=True):
+) -> tuple[Array, Array, Array, Array]:
+    """Answers [cm], the readings that are expected, the reference's own standard deviation, and numbers of set-ups."""
+    columns = [np.empty((4, 0))]
+    for number, (point, set_up) in enumerate(zip(points, set_ups, strict=True)):
         expected_cm, std_cm = calibration.forward(point.apparent_cm), point.reference_std_cm
         if set_up is not None:
             # The mean of a placement's own hits has the error of its one reference in it.
             expected_cm, std_cm = expected_cm + set_up.error_cm, np.zeros(std_cm.size)
-        columns.append(np.array([point.reading_cm, expected_cm, std_cm]))
-    reading_cm, expected_cm, std_cm = np.concatenate(columns, axis=1)
+        columns.append(np.array([point.reading_cm, expected_cm, std_cm, np.full(std_cm.size, float(number))]))
+    reading_cm, expected_cm, std_cm, of = np.concatenate(columns, axis=1)
     answered = ~np.isnan(reading_cm)
-    return reading_cm[answered], expected_cm[answered], std_cm[answered]
+    return reading_cm[answered], expected_cm[answered], std_cm[answered], of[answered]
 
 
 def _placement_error(point: PointReadings, calibration: Calibration) -> PlacementError | None:
