@@ -216,6 +216,69 @@ def test_one_range_gives_what_it_can_and_reports_what_it_cannot(tmp_path: Path) 
     assert "short_rate_per_m " not in out.read_text(encoding="utf-8")
 
 
+def targets(**baseline: Any) -> list[dict[str, NDArray[Any]]]:
+    """Six ranges in front of a wall, felt that reads 2 cm longer, and a plate at which the sensor is dead."""
+    rng, parts = np.random.default_rng(11), []
+    for z in range(40, 141, 20):
+        parts.append(point(rng, z, n=120, run=f"wall-{z}", target="wall", **baseline))
+        parts.append(point(rng, z, n=80, run=f"felt-{z}", target="felt", error_cm=2.0, **baseline))
+        parts.append(point(rng, z, n=40, run=f"plate-{z}", target="plate", **baseline))
+        parts[-1]["reading_cm"][:] = np.nan
+    return parts
+
+
+def test_targets_at_equal_ranges_are_compared_without_a_condition(tmp_path: Path) -> None:
+    """They were mixed into the baseline: the mixture could not be fitted, and the material was not in these data."""
+    parts = targets(condition="")
+    # A target of its own range is part of the baseline.
+    parts.append(point(np.random.default_rng(12), 200, run="far", target="gate", condition=""))
+    write_csv(tmp_path / "a.csv", table(*parts))
+    text = " ".join(run(tmp_path / "a.csv", "--out", tmp_path / "m.yaml", "--sensor", SENSOR).output.split())
+    assert "felt against baseline: mean error 2.0" in text
+    assert (
+        "the column target varies: wall, gate is the baseline, of which the model is made, and felt, plate are "
+        "compared with it as material"
+    ) in text
+    assert (
+        "6 of 19 points have almost no reading of the surface, at 40 to 140 cm: plate 6 of 6; no answer at all in 6 "
+        "runs: plate-40, plate-60, plate-80 and 3 more"
+    ) in text
+    model = load_sensor_model(tmp_path / "m.yaml")
+    assert model.reading_model.sigma_cm == pytest.approx(0.6, abs=0.05)
+    assert model.calibration == ()
+
+
+def test_a_named_condition_decides_what_a_target_is(tmp_path: Path) -> None:
+    write_csv(tmp_path / "a.csv", table(*targets(condition="baseline")))
+    text = " ".join(run(tmp_path / "a.csv", "--out", tmp_path / "m.yaml", "--sensor", SENSOR).output.split())
+    assert "not in these data: maximum_range, material" in text
+    assert "the column target varies" not in text
+
+
+def test_pings_without_an_answer_are_no_kind_of_readings(tmp_path: Path) -> None:
+    rng = np.random.default_rng(13)
+    parts = [point(rng, z, n=100) for z in range(40, 141, 10)]
+    parts[-1]["reading_cm"][:] = np.nan
+    write_csv(tmp_path / "a.csv", table(*parts))
+    text = " ".join(run(tmp_path / "a.csv", "--out", tmp_path / "m.yaml", "--sensor", SENSOR).output.split())
+    assert "9.1 % of the echoes are missed (100 pings have no answer, so they are in no kind of readings)" in text
+    assert "of 1,000 answers hit 100 %, short 0 %, missed 0 %" in text
+
+
+def test_the_cause_comes_first_where_nothing_can_be_found(tmp_path: Path) -> None:
+    rng = np.random.default_rng(14)
+    write_csv(tmp_path / "a.csv", table(*(point(rng, z, n=10) for z in (50, 100, 150))))
+    result = run(tmp_path / "a.csv", "--out", tmp_path / "m.yaml", "--sensor", SENSOR, code=3)
+    order = [
+        "nothing can be found: calibration: found 3 ranges, expected 4",
+        "mixture: found 30 readings, expected at least 50",
+        "3 of 3 undisturbed points have fewer than 20 readings",
+        "no air_temperature_c",
+    ]
+    text = " ".join(result.output.split())
+    assert sorted(map(text.index, order)) == [text.index(each) for each in order]
+
+
 def test_a_step_that_the_model_cannot_have_is_a_warning(tmp_path: Path) -> None:
     rng = np.random.default_rng(8)
     parts = [point(rng, z, n=60) for z in np.arange(43.0, 350.0, 11.3)]

@@ -158,6 +158,8 @@ class Mixture:
     fits."""
     pit_p_value: float | None
     """p-value of uniformity; a small one means that the model does not fit. None: too few readings for it."""
+    shares: dict[str, float]
+    """Mean share of each kind over these readings, each at its own range; rows without an answer are none of them."""
     conditional: str
     """What depends on range, and why, in a sentence."""
     notes: tuple[str, ...] = ()

@@ -5,7 +5,7 @@ its placement is not noise of the sensor; the calibration deals with the differe
 """
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from operator import attrgetter
 
 import numpy as np
@@ -56,6 +56,7 @@ def fit_mixture(
     notes = []
     if (np.abs(whole - reading_cm) > TOLERANCE * grid.resolution_cm).any():
         notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm: their own step is none, or a finer one")
+    shares = _shares(result, expected_cm)
     good = goodness_of_fit(result, whole, expected_cm, rng, reference_std_cm=reference_std_cm)
     moved = tuple(set_up for set_up in set_ups if set_up is not None)
     fitted, raised = with_floors(result.parameters, saturates=grid.saturates)
@@ -76,7 +77,8 @@ def fit_mixture(
         log_likelihood=result.log_likelihood,
         pit_counts=good.pit_histogram,
         pit_p_value=good.chi_square_p_value,
-        conditional=_conditional(result, expected_cm) if has_ranges else "not tried: all readings are of one range",
+        shares=shares,
+        conditional=_conditional(result, shares) if has_ranges else "not tried: all readings are of one range",
         notes=tuple(notes),
         set_ups=moved,
     )
@@ -144,15 +146,20 @@ def _parameter(name: str, result: FitResult, before: MixtureParameters, at_bound
     return MixtureParameter(full_name, estimate, attrgetter(full_name)(before), at_bound)
 
 
-def _conditional(result: FitResult, expected_cm: Array) -> str:
+def _shares(result: FitResult, expected_cm: Array) -> dict[str, float]:
+    """Mean shares of the kinds of readings at these ranges."""
+    grid = result.grid
+    model = ReadingModel(result.parameters, grid.minimum_cm, grid.maximum_cm, resolution_cm=grid.resolution_cm)
+    return {name: float(np.mean(share)) for name, share in zip(KINDS, model.shares(expected_cm), strict=True)}
+
+
+def _conditional(result: FitResult, shares: Mapping[str, float]) -> str:
     grown = [PARAMETERS[name].grows for name, value in result.estimates.items() if PARAMETERS[name].grows and value]
     if not grown:
         return "nothing depends on range (by BIC)"
     growing = f"{' and '.join(grown)} depend{'s' if len(grown) == 1 else ''} on range (by BIC)"
     if "missed_growth_per_m" not in result.estimates:
         return growing
-    grid = result.grid
-    model = ReadingModel(result.parameters, grid.minimum_cm, grid.maximum_cm, resolution_cm=grid.resolution_cm)
-    shares = zip(KINDS, model.shares(expected_cm), strict=True)
-    shown = ", ".join(f"{name} {np.mean(share):.4f}" for name, share in shares)
-    return f"{growing}: weights are those at {WEIGHTS_RANGE_CM:g} cm; over these readings: {shown}"
+    shown = ", ".join(f"{name} {share:.4f}" for name, share in shares.items())
+    at_cm = min(WEIGHTS_RANGE_CM, result.grid.maximum_cm)
+    return f"{growing}: weights are those at {at_cm:g} cm; over these readings: {shown}"

@@ -6,7 +6,7 @@ scatter of readings use points as their unit.
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import groupby
@@ -48,6 +48,12 @@ Record = TypeVar("Record")
 BASELINE = "baseline"
 VARIED = {"incidence_deg": "field_of_view", "vibration_hz": "vibration", "external_level_db": "external_interference"}
 """Experiment of a reading without a `condition`: that of a column which is known and not zero."""
+USUAL_TARGETS = ("plywood", "wood")
+"""Words of the target that others are compared with; without such a one it is that with the most readings."""
+COMPARED_SHARE = 0.5
+"""A target varies if this share of its readings is at ranges of the usual one. Those at ranges of their own are part of
+the baseline: a wall that only the farthest points have is no material to compare. Any value from 0.2 to 0.8 decides
+alike."""
 
 SETTINGS = (
     "target_size_cm",
@@ -278,8 +284,30 @@ def conditions(data: MeasuredData) -> Texts:
     if (found == "field_of_view").any():
         # The rows straight ahead belong to the same experiment.
         found[(data.column("incidence_deg") == 0.0) & (found == BASELINE)] = "field_of_view"
+    found[_other_targets(data, found == BASELINE)] = "material"
     named = data.column("condition")
     return np.where(named == "", found, named)
+
+
+def _other_targets(data: MeasuredData, rows: Flags) -> Flags:
+    """Which of these rows are of another target than the usual one, at its ranges."""
+    target, place_cm = data.column("target"), np.round(data["true_range_cm"], 1)
+    found, rows = np.zeros(len(data), dtype=bool), rows & (data.column("condition") == "") & (target != "")
+    words = np.unique(target[rows])
+    if words.size < 2:
+        return found
+    answers = [np.sum(rows & (target == word) & ~np.isnan(data["reading_cm"])) for word in words]
+    usual = usual_target(words.tolist()) or words[np.argmax(answers)]
+    is_common = np.isin(place_cm, place_cm[rows & (target == usual)])
+    for word in words[words != usual]:
+        own = rows & (target == word)
+        found |= own & (is_common[own].mean() >= COMPARED_SHARE)
+    return found
+
+
+def usual_target(words: Sequence[str]) -> str | None:
+    """The target that others are compared with by its word; None: no word says so."""
+    return next((each for usual in USUAL_TARGETS for each in words if usual in each.lower()), None)
 
 
 def _levels(data: MeasuredData, condition: Texts, frequency_hz: float) -> Texts:
