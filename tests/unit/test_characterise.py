@@ -356,6 +356,26 @@ def test_a_warm_and_humid_room_is_no_scale_of_the_sensor(tmp_path: Path) -> None
     assert all(each.reading_cm == pytest.approx(each.true_cm, abs=0.15) for each in calibration or ())
 
 
+@pytest.mark.parametrize(("share", "scale"), [(0.0, 1.0), (0.5, 0.99131), (1.0, 0.98286)])
+def test_a_model_agrees_with_the_air_of_its_bench(tmp_path: Path, share: float, scale: float) -> None:
+    """In air of 30 °C, 1.7 % faster than at 20: the scale is what the model's effects do not explain."""
+    started = load_sensor_model(CONFIGS / "sensors" / "hcsr04.yaml")
+    own = {"effects": [{"name": "air_temperature", "parameters": {"share": share}}] * (share > 0.0)}
+    (tmp_path / "start.yaml").write_text(yaml.safe_dump(started.model_dump(mode="json") | own), encoding="utf-8")
+    rng = np.random.default_rng(15)
+    parts = [
+        point(rng, z, n=200, error_cm=z * (scale - 1.0), sigma_cm=0.8, air_temperature_c=30.0, run=f"{z}")
+        for z in range(50, 381, 30)
+    ]
+    write_csv(tmp_path / "bench.csv", table(*parts))
+    out = tmp_path / "m.yaml"
+    result = run(tmp_path / "bench.csv", "--sensor", tmp_path / "start.yaml", "--out", out)
+    curve = load_sensor_model(out).calibration_curve
+    assert [curve.forward(z) for z in (60.0, 300.0)] == pytest.approx([60.0, 300.0], abs=0.2)
+    assert ("the sensor is taken to compensate itself" in " ".join(result.output.split())) == (share == 0.0)
+    assert find_gap(tmp_path / "bench.csv", out, until="name")["effects"] == []
+
+
 @pytest.mark.parametrize(("sensor", "notes"), [((), 1), (("--sensor", CONFIGS / "sensors" / "hcsr04.yaml"), 0)])
 def test_a_stranger_s_table_does_not_become_an_mb1242_in_silence(
     sensor: tuple[object, ...], notes: int, tmp_path: Path
@@ -375,10 +395,10 @@ def on_real_data(tmp_path: Path, name: str, map_name: str, sensor: str) -> tuple
 def test_calibration_of_real_readings_at_ruler_distances(tmp_path: Path) -> None:
     output, out = on_real_data(tmp_path, "hcsr04-ccu/readings.csv", "hcsr04-ccu.yaml", "hcsr04.yaml")
     model = load_sensor_model(out)
-    # Medians of the readings at 30 and 100 cm, taken to 20 deg C: 0.63 and 0.30 cm short.
+    # Medians of the readings at 30 and 100 cm, which were compensated as they were written: 1.09 and 1.90 cm short.
     curve = model.calibration_curve
-    assert curve.forward(30.0) - 30.0 == pytest.approx(-0.63, abs=0.3)
-    assert curve.forward(100.0) - 100.0 == pytest.approx(-0.30, abs=0.3)
+    assert curve.forward(30.0) - 30.0 == pytest.approx(-1.09, abs=0.3)
+    assert curve.forward(100.0) - 100.0 == pytest.approx(-1.90, abs=0.3)
     assert "a straight line corrects them" in output
 
 

@@ -23,7 +23,7 @@ from msp_lab.characterise.field_of_view import breakaway_rows, find_field_of_vie
 from msp_lab.characterise.findings import BreakawayAngle, CalibrationFindings, Findings, Mixture, as_json
 from msp_lab.characterise.mixture import fit_mixture
 from msp_lab.characterise.model_file import changed, commented, write_new
-from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, sort_into_points
+from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, air_share, sort_into_points
 from msp_lab.characterise.questions import answer_questions
 from msp_lab.characterise.temperature import compensation_table, hot_boxes
 from msp_lab.mixture_fit.fit_result import FitError
@@ -129,7 +129,7 @@ def characterise(
     heard_cm = longest_reliable_cm(longest, sensor.maximum_cm)
     progress("questions")
     found = tuple(point.found for point in points)
-    calibration_c = sensor.calibration_temperature_c if sensor.medium == "sound" else None
+    calibration_c = sensor.calibration_temperature_c if air_share(sensor) else None
     questions = answer_questions(found)
     findings = Findings(
         sensor=sensor.name,
@@ -173,6 +173,7 @@ def _mixture(
 def _absent(findings: Findings, sensor: SensorModel, no_mixture: str) -> dict[str, str]:
     """The reason for each part that was not found."""
     no_sound = "" if sensor.medium == "sound" else f"about sound, and this sensor ranges with {sensor.medium}"
+    no_air = no_sound or ("" if air_share(sensor) else "the starting model has no effect air_temperature")
     no_box = "no three ranges with hot or cold air at the sensor and the same ranges without"
     reasons = {
         "baseline": NOTHING_UNDISTURBED,
@@ -182,8 +183,8 @@ def _absent(findings: Findings, sensor: SensorModel, no_mixture: str) -> dict[st
         "field_of_view": "no range was tried at more than one angle (incidence_deg)",
         "sonar": no_sound or "needs breakaway angles at three ranges at least",
         **dict.fromkeys(QUESTIONS, NOT_MEASURED),
-        "hot_boxes": no_sound or no_box,
-        COMPENSATION: no_sound or NOT_MEASURED,
+        "hot_boxes": no_air or no_box,
+        COMPENSATION: no_air or NOT_MEASURED,
     }
     found = {question.name for question in findings.questions}
     return {name: why for name, why in reasons.items() if name not in found and not getattr(findings, name, None)}
@@ -303,8 +304,14 @@ def _warnings(
     if few:
         yield f"{few} of {len(undisturbed)} undisturbed points have fewer than {FEW_READINGS} readings"
     yield from _silent([p for p in points if p.condition in (*UNDISTURBED, "material")])
-    by_sound = any(p.sensor_model.medium == "sound" for p in undisturbed)
-    if calibration is not None and by_sound and all(np.isnan(p.air_temperature_c).all() for p in undisturbed):
+    no_thermometer = all(np.isnan(p.air_temperature_c).all() for p in undisturbed)
+    corrects = any(p.sensor_model.medium == "sound" and p.air_share == 0.0 for p in undisturbed)
+    if calibration is not None and corrects and not no_thermometer:
+        yield (
+            "the starting model has no effect air_temperature, so the sensor is taken to compensate itself, and "
+            "air_temperature_c is not used"
+        )
+    if calibration is not None and any(p.air_share for p in undisturbed) and no_thermometer:
         yield (
             "no air_temperature_c: a scale is the sensor's and the air's together, 0.17 % a degree; with "
             "a thermometer in the bridge the air would be corrected twice"
