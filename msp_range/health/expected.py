@@ -9,7 +9,8 @@ from msp_range.numbers import limited
 MOST_LOG_ODDS = 600.0
 """Growth with range of the log odds of a missed echo, at most: what the exponential function bears."""
 WEIGHTS_M = 3.0
-"""Range to which the share of missed echoes in a model file refers [m]: `sensor_model.WEIGHTS_RANGE_CM`."""
+"""Range to which the share of missed echoes in a model file refers [m], but at most the sensor's longest:
+`sensor_model.WEIGHTS_RANGE_CM`."""
 
 
 class Expected(NamedTuple):
@@ -35,5 +36,5 @@ class Expected(NamedTuple):
 
     def missed_at(self, range_m: float) -> float:
         """Share of missed echoes at a range."""
-        missed, growth = self.missed, self.missed_growth_per_m * (range_m - WEIGHTS_M)
+        missed, growth = self.missed, self.missed_growth_per_m * (range_m - min(WEIGHTS_M, self.maximum_m))
         return missed / (missed + (1.0 - missed) * math.exp(limited(-growth, -MOST_LOG_ODDS, MOST_LOG_ODDS)))

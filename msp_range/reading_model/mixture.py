@@ -181,7 +181,7 @@ class ReadingModel:
         """log of the shares of hit, short, missed and random, but for a common summand: numbers or arrays."""
         hit, short, missed, random = self._log_shares
         if self.parameters.missed_growth_per_m != 0.0:
-            beyond_m = (self._within(true_range_cm) - WEIGHTS_RANGE_CM) / 100.0
+            beyond_m = (self._within(true_range_cm) - min(WEIGHTS_RANGE_CM, self.maximum_cm)) / 100.0
             grown = np.clip(self.parameters.missed_growth_per_m * beyond_m, -MOST_LOG_ODDS, MOST_LOG_ODDS)
             missed = missed + grown
         return hit, short, missed, random

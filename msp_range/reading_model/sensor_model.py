@@ -24,7 +24,8 @@ SATURATED_CM = 255
 """What a no-echo code reads where its two bytes are OR-ed (0x02 | 0xFD for 765) or it saturates to eight bits [cm]."""
 
 WEIGHTS_RANGE_CM = 300.0
-"""Range at which the share of missed echoes is the one in `weights`, where it changes with range [cm]."""
+"""Range at which the share of missed echoes is the one in `weights`, where it changes with range [cm]; of a sensor that
+reaches less far, its `maximum_cm`: what it misses beyond that is no number of its readings."""
 
 Medium: TypeAlias = Literal["sound", "light", "radio"]
 """What a sensor ranges with."""
@@ -142,7 +143,8 @@ class MixtureParameters(Section):
     """Growth of the standard deviation with range z: sigma^2 = sigma_cm^2 + (growth z)^2 [cm/m]."""
 
     missed_growth_per_m: float = Field(0.0, ge=-100.0, le=100.0)
-    """Growth of the log odds of a missed echo against the other kinds with range; `weights` are those at 3 m [1/m]."""
+    """Growth of the log odds of a missed echo against the other kinds with range; `weights` are those at 3 m, or at
+    `maximum_cm` if that is less [1/m]."""
 
     correlation: float = Field(0.0, ge=0.0, le=0.98)
     """Correlation of the errors of two hits that are `correlation_spacing_s` apart; over t it is this to the power of

@@ -49,6 +49,34 @@ def p_value(result: FitResult, reading_cm: NDArray[np.float64], true_cm: NDArray
     return found
 
 
+def test_missed_echoes_are_judged_where_the_readings_are() -> None:
+    """Those that grow with range are nearly all of the readings at 3 m, to which their share refers."""
+    near = PlainSensor(0.97, 0.01, 0.9999, 0.02, 1.6, 0.7, 0.25, missed_growth_per_m=5.0)
+    reading_cm, true_cm = drawn(near, 10_000, 3, np.arange(40.0, 120.0, 10.0))
+    result = fit_readings(reading_cm, true_cm, MB1242, growth=True)
+    assert (reading_cm != 765).mean() > 0.7
+    assert result.estimates["missed"] > 0.99
+    assert result.estimates["missed_growth_per_m"] == pytest.approx(5.0, abs=0.3)
+
+
+def test_a_sensor_of_short_range_has_its_weights_at_its_longest() -> None:
+    sensor = PlainSensor(
+        *(0.87, 0.01, 0.1, 0.02, 0.2, 5.0),
+        missed_growth_per_m=9.0,
+        minimum_cm=1.0,
+        maximum_cm=60.0,
+        step_cm=0.1,
+        no_echo_cm=60.0,
+    )
+    reading_cm, true_cm = drawn(sensor, 10_000, 4, np.arange(5.0, 58.0, 3.0))
+    result = fit_readings(reading_cm, true_cm, ReadingGrid(1.0, 60.0, 0.1), growth=True)
+    recovered(result, sensor)
+    assert "missed_growth_per_m" in result.estimates
+    model = ReadingModel(result.parameters, 1.0, 60.0, resolution_cm=0.1)
+    assert model.shares(60.0)[2] == pytest.approx(result.estimates["missed"])
+    assert model.shares(30.0)[2] == pytest.approx((reading_cm[true_cm == 29.0] == 60.0).mean(), abs=0.01)
+
+
 @pytest.mark.slow
 def test_intervals_hold_the_truth() -> None:
     """The whole figure is `python -m evaluation fit_coverage`; one in twenty may miss."""

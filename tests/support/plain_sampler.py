@@ -40,7 +40,9 @@ class PlainSensor:
         """One reading."""
         reach_cm = min(max(true_cm, 0.0), self.maximum_cm)
         missed_odds = (
-            self.missed / (1.0 - self.missed) * math.exp(self.missed_growth_per_m * (reach_cm - 300.0) / 100.0)
+            self.missed
+            / (1.0 - self.missed)
+            * math.exp(self.missed_growth_per_m * (reach_cm - min(300.0, self.maximum_cm)) / 100.0)
         )
         if chance.random() < missed_odds / (1.0 + missed_odds):
             return self._no_echo(chance)

@@ -216,6 +216,69 @@ def test_one_range_gives_what_it_can_and_reports_what_it_cannot(tmp_path: Path) 
     assert "short_rate_per_m " not in out.read_text(encoding="utf-8")
 
 
+def targets(**baseline: Any) -> list[dict[str, NDArray[Any]]]:
+    """Six ranges in front of a wall, felt that reads 2 cm longer, and a plate at which the sensor is dead."""
+    rng, parts = np.random.default_rng(11), []
+    for z in range(40, 141, 20):
+        parts.append(point(rng, z, n=120, run=f"wall-{z}", target="wall", **baseline))
+        parts.append(point(rng, z, n=80, run=f"felt-{z}", target="felt", error_cm=2.0, **baseline))
+        parts.append(point(rng, z, n=40, run=f"plate-{z}", target="plate", **baseline))
+        parts[-1]["reading_cm"][:] = np.nan
+    return parts
+
+
+def test_targets_at_equal_ranges_are_compared_without_a_condition(tmp_path: Path) -> None:
+    """They were mixed into the baseline: the mixture could not be fitted, and the material was not in these data."""
+    parts = targets(condition="")
+    # A target of its own range is part of the baseline.
+    parts.append(point(np.random.default_rng(12), 200, run="far", target="gate", condition=""))
+    write_csv(tmp_path / "a.csv", table(*parts))
+    text = " ".join(run(tmp_path / "a.csv", "--out", tmp_path / "m.yaml", "--sensor", SENSOR).output.split())
+    assert "felt against baseline: mean error 2.0" in text
+    assert (
+        "the column target varies: wall, gate is the baseline, of which the model is made, and felt, plate are "
+        "compared with it as material"
+    ) in text
+    assert (
+        "6 of 19 points have almost no reading of the surface, at 40 to 140 cm: plate 6 of 6; no answer at all in 6 "
+        "runs: plate-40, plate-60, plate-80 and 3 more"
+    ) in text
+    model = load_sensor_model(tmp_path / "m.yaml")
+    assert model.reading_model.sigma_cm == pytest.approx(0.6, abs=0.05)
+    assert model.calibration == ()
+
+
+def test_a_named_condition_decides_what_a_target_is(tmp_path: Path) -> None:
+    write_csv(tmp_path / "a.csv", table(*targets(condition="baseline")))
+    text = " ".join(run(tmp_path / "a.csv", "--out", tmp_path / "m.yaml", "--sensor", SENSOR).output.split())
+    assert "not in these data: maximum_range, material" in text
+    assert "the column target varies" not in text
+
+
+def test_pings_without_an_answer_are_no_kind_of_readings(tmp_path: Path) -> None:
+    rng = np.random.default_rng(13)
+    parts = [point(rng, z, n=100) for z in range(40, 141, 10)]
+    parts[-1]["reading_cm"][:] = np.nan
+    write_csv(tmp_path / "a.csv", table(*parts))
+    text = " ".join(run(tmp_path / "a.csv", "--out", tmp_path / "m.yaml", "--sensor", SENSOR).output.split())
+    assert "9.1 % of the echoes are missed (100 pings have no answer, so they are in no kind of readings)" in text
+    assert "of 1,000 answers hit 100 %, short 0 %, missed 0 %" in text
+
+
+def test_the_cause_comes_first_where_nothing_can_be_found(tmp_path: Path) -> None:
+    rng = np.random.default_rng(14)
+    write_csv(tmp_path / "a.csv", table(*(point(rng, z, n=10) for z in (50, 100, 150))))
+    result = run(tmp_path / "a.csv", "--out", tmp_path / "m.yaml", "--sensor", SENSOR, code=3)
+    order = [
+        "nothing can be found: calibration: found 3 ranges, expected 4",
+        "mixture: found 30 readings, expected at least 50",
+        "3 of 3 undisturbed points have fewer than 20 readings",
+        "no air_temperature_c",
+    ]
+    text = " ".join(result.output.split())
+    assert sorted(map(text.index, order)) == [text.index(each) for each in order]
+
+
 def test_a_step_that_the_model_cannot_have_is_a_warning(tmp_path: Path) -> None:
     rng = np.random.default_rng(8)
     parts = [point(rng, z, n=60) for z in np.arange(43.0, 350.0, 11.3)]
@@ -293,6 +356,26 @@ def test_a_warm_and_humid_room_is_no_scale_of_the_sensor(tmp_path: Path) -> None
     assert all(each.reading_cm == pytest.approx(each.true_cm, abs=0.15) for each in calibration or ())
 
 
+@pytest.mark.parametrize(("share", "scale"), [(0.0, 1.0), (0.5, 0.99131), (1.0, 0.98286)])
+def test_a_model_agrees_with_the_air_of_its_bench(tmp_path: Path, share: float, scale: float) -> None:
+    """In air of 30 °C, 1.7 % faster than at 20: the scale is what the model's effects do not explain."""
+    started = load_sensor_model(CONFIGS / "sensors" / "hcsr04.yaml")
+    own = {"effects": [{"name": "air_temperature", "parameters": {"share": share}}] * (share > 0.0)}
+    (tmp_path / "start.yaml").write_text(yaml.safe_dump(started.model_dump(mode="json") | own), encoding="utf-8")
+    rng = np.random.default_rng(15)
+    parts = [
+        point(rng, z, n=200, error_cm=z * (scale - 1.0), sigma_cm=0.8, air_temperature_c=30.0, run=f"{z}")
+        for z in range(50, 381, 30)
+    ]
+    write_csv(tmp_path / "bench.csv", table(*parts))
+    out = tmp_path / "m.yaml"
+    result = run(tmp_path / "bench.csv", "--sensor", tmp_path / "start.yaml", "--out", out)
+    curve = load_sensor_model(out).calibration_curve
+    assert [curve.forward(z) for z in (60.0, 300.0)] == pytest.approx([60.0, 300.0], abs=0.2)
+    assert ("the sensor is taken to compensate itself" in " ".join(result.output.split())) == (share == 0.0)
+    assert find_gap(tmp_path / "bench.csv", out, until="name")["effects"] == []
+
+
 @pytest.mark.parametrize(("sensor", "notes"), [((), 1), (("--sensor", CONFIGS / "sensors" / "hcsr04.yaml"), 0)])
 def test_a_stranger_s_table_does_not_become_an_mb1242_in_silence(
     sensor: tuple[object, ...], notes: int, tmp_path: Path
@@ -312,10 +395,10 @@ def on_real_data(tmp_path: Path, name: str, map_name: str, sensor: str) -> tuple
 def test_calibration_of_real_readings_at_ruler_distances(tmp_path: Path) -> None:
     output, out = on_real_data(tmp_path, "hcsr04-ccu/readings.csv", "hcsr04-ccu.yaml", "hcsr04.yaml")
     model = load_sensor_model(out)
-    # Medians of the readings at 30 and 100 cm, taken to 20 deg C: 0.63 and 0.30 cm short.
+    # Medians of the readings at 30 and 100 cm, which were compensated as they were written: 1.09 and 1.90 cm short.
     curve = model.calibration_curve
-    assert curve.forward(30.0) - 30.0 == pytest.approx(-0.63, abs=0.3)
-    assert curve.forward(100.0) - 100.0 == pytest.approx(-0.30, abs=0.3)
+    assert curve.forward(30.0) - 30.0 == pytest.approx(-1.09, abs=0.3)
+    assert curve.forward(100.0) - 100.0 == pytest.approx(-1.90, abs=0.3)
     assert "a straight line corrects them" in output
 
 

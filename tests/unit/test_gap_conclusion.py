@@ -282,6 +282,21 @@ def test_one_effect_is_not_effects(capsys: pytest.CaptureFixture[str]) -> None:
     assert "one effect cannot be tested without uptime_s" in capsys.readouterr().out
 
 
+def test_step_and_codes_are_said_on_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    of_readings = (
+        CalibrationFinding("resolution", "the readings are compared in steps of 0.5 cm", before=0.1, after=0.5),
+        CalibrationFinding("code", "0 cm comes in 3 % of the readings"),
+    )
+    weight = CalibrationFinding("weights.hit", "weights.hit is another one")
+    print_findings(GapFindings("explained", 9, 5, calibration=(*of_readings, weight), messages=("A message.",)))
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if line.startswith("note: ")] == [
+        "note: A message.",
+        "note: The readings are compared in steps of 0.5 cm.",
+        "note: 0 cm comes in 3 % of the readings.",
+    ]
+
+
 def test_what_is_not_sure_is_perhaps_everywhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     weak = with_words(
         GapFindings("explained", 2000, 12, GAPS["closed after"], (scale(WEAK),), (curve(WEAK),), selection_path=PATH)

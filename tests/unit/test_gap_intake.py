@@ -147,7 +147,7 @@ def test_times_that_are_equal_are_reported(tmp_path: Path) -> None:
 
 def test_readings_off_the_grid_are_rounded_and_called_calibration(tmp_path: Path) -> None:
     columns = readings(400)
-    columns["reading_cm"] = np.round(columns["reading_cm"] + 0.3, 1)
+    columns["reading_cm"] = np.round(columns["reading_cm"] * 1.013, 1)
     found = taken(tmp_path, columns)
     assert (found.data["reading_cm"] == np.rint(found.data["reading_cm"])).all()
     assert [each.name for each in found.calibration] == ["resolution"]
@@ -167,6 +167,22 @@ def test_a_code_that_the_model_does_not_declare_is_set_aside(tmp_path: Path) -> 
     assert [each.name for each in found.calibration] == ["code"]
     assert "511 cm comes in 5" in found.calibration[0].finding
     assert not (found.data["reading_cm"] == 511.0).any()
+
+
+def test_runs_that_go_whole_are_named(tmp_path: Path) -> None:
+    """A session of zeros was gone without a line on the terminal."""
+    columns = readings(1000)
+    dead = np.isin(columns["run"], ["flight-2", "flight-3", "flight-5", "flight-7"])
+    columns["reading_cm"] = np.where(dead, 0.0, columns["reading_cm"])
+    columns["reading_cm"][900:] = np.nan
+    found = taken(tmp_path, columns)
+    (code,) = found.calibration
+    assert code.finding.endswith(
+        "these 400 readings are set aside; nothing else is in 4 runs: flight-2, flight-3, flight-5 and 1 more"
+    )
+    assert "100 rows have no reading (no answer) and are left out; nothing else is in one run: flight-10." in (
+        found.messages
+    )
 
 
 def test_what_stands_in_the_beam_is_no_undeclared_code(tmp_path: Path) -> None:

@@ -42,6 +42,8 @@ def test_the_step_of_a_file_is_found() -> None:
         # Through 32-bit numbers, in metres.
         metres = (0.01 * step_cm * np.rint(range_cm / step_cm)).astype(np.float32).astype(float)
         assert step_of_runs(100.0 * metres) == step_cm
+        # A calibration added a constant, another one to each half.
+        assert step_of_runs(*(step_cm * (np.rint(range_cm / step_cm) + part) for part in (0.34, 0.8))) == step_cm
     assert step_of_runs(range_cm) == 0.1
     # A timer's microsecond, at two temperatures.
     assert step_of_runs(0.0173 * np.rint(range_cm / 0.0173), 0.0175 * np.rint(range_cm / 0.0175)) == 0.1
@@ -105,6 +107,50 @@ def test_a_table_in_millimetres_and_its_model_stay_in_millimetres(tmp_path: Path
     compared = Comparison.of(found, GIVEN, Settings(str(MODEL)))
     assert compared.model.sensor.resolution_cm == 0.1
     assert compared.impossible == 0.0
+
+
+def with_constants() -> tuple[dict[str, Any], Array]:
+    """Millimetres to which 0.034 cm were added in four of eight runs, -0.02 cm in the others; some are no echo."""
+    columns = readings(3000, runs=8, step_cm=0.1, sigma_cm=0.5, missed=0.03, hit=0.95)
+    constant_cm = np.where(np.arange(3000) < 1500, 0.034, -0.02)
+    constant_cm[columns["reading_cm"] == 765.0] = 0.0
+    return columns | {"reading_cm": columns["reading_cm"] + constant_cm}, constant_cm
+
+
+def test_what_was_added_to_millimetres_does_not_hide_their_step(tmp_path: Path) -> None:
+    """They were compared in steps of 0.5 cm, of which they are multiples no more than of 0.1."""
+    columns, constant_cm = with_constants()
+    found = taken(tmp_path, columns)
+    assert found.step_cm == 0.1
+    np.testing.assert_allclose(found.data["reading_cm"], np.round(columns["reading_cm"] - constant_cm, 1), atol=1e-9)
+    np.testing.assert_allclose(
+        found.data["reading_cm"] - found.data["true_range_cm"],
+        columns["reading_cm"] - columns["true_range_cm"],
+        atol=1e-9,
+        err_msg="nothing is rounded away",
+    )
+    before = found.data["previous_reading_cm"]
+    np.testing.assert_allclose(before, np.round(before, 1), atol=1e-9)
+    (resolution,) = found.calibration
+    assert "-0.02 to 0.034 cm is added to the multiples of 0.1 cm in 98.3 % of" in resolution.finding
+    assert (resolution.before, resolution.after) == (1.0, 0.1)
+
+
+def test_a_constant_is_no_spread_of_a_characterised_sensor(tmp_path: Path) -> None:
+    """And the model agrees with the readings that it was made of."""
+    ranges_cm = np.repeat(np.linspace(60.0, 300.0, 9), 120) + 0.37
+    sensor = PlainSensor(0.97, 0.01, 0.01, 0.01, sigma_cm=0.06, short_rate_per_m=0.5, step_cm=0.1)
+    reading_cm = np.array(sensor.readings(ranges_cm.tolist(), 5))
+    columns = {
+        "time_s": np.arange(ranges_cm.size, dtype=float),
+        "sensor": np.full(ranges_cm.size, "down"),
+        "reading_cm": np.where(reading_cm == 765.0, 765.0, reading_cm + 0.044),
+        "true_range_cm": ranges_cm,
+    }
+    write_csv(tmp_path / "bench.csv", columns)
+    made = characterise(tmp_path / "bench.csv", sensor=MODEL)["model"]
+    assert made["resolution_cm"] == 0.1
+    assert made["reading_model"]["sigma_cm"] == pytest.approx(0.06, abs=0.005)
 
 
 def test_only_what_repeats_exactly_is_a_repeat(tmp_path: Path) -> None:

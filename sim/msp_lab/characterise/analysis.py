@@ -5,6 +5,7 @@ What the data do not determine stays as in the starting model, and the findings 
 
 import difflib
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import combinations
@@ -22,7 +23,7 @@ from msp_lab.characterise.field_of_view import breakaway_rows, find_field_of_vie
 from msp_lab.characterise.findings import BreakawayAngle, CalibrationFindings, Findings, Mixture, as_json
 from msp_lab.characterise.mixture import fit_mixture
 from msp_lab.characterise.model_file import changed, commented, write_new
-from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, sort_into_points
+from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, air_share, sort_into_points
 from msp_lab.characterise.questions import answer_questions
 from msp_lab.characterise.temperature import compensation_table, hot_boxes
 from msp_lab.mixture_fit.fit_result import FitError
@@ -33,7 +34,9 @@ from msp_range.correction.calibration import Calibration, curve_through
 from msp_range.reading_model.sensor_model import MixtureParameters, SensorModel, load_sensor_model
 from msp_range.recording.error import RecordingError
 from msp_sim.acoustics.sonar import STEP_DEG
+from msp_sim.model.context_limits import span
 from msp_sim.model.model import Model
+from msp_sim.page.text import counted, listed
 
 NUMBERS, PAGE = "findings.json", "report.html"
 UNDISTURBED = (BASELINE, "maximum_range")
@@ -43,6 +46,8 @@ SESSION_EFFECT = "run_offsets"
 """Name of the simulator's effect for an offset that differs between sessions."""
 NOTHING_UNDISTURBED = "no readings of the surface with nothing varied"
 NOT_MEASURED = "no readings of this condition, or none at ranges to compare with"
+SHOWN = 3
+"""Of runs or targets without readings, so many are named."""
 FEW_READINGS = 20
 """Warn about points with fewer readings: the 95 % interval of their mean error is wider than half their spread."""
 
@@ -124,7 +129,7 @@ def characterise(
     heard_cm = longest_reliable_cm(longest, sensor.maximum_cm)
     progress("questions")
     found = tuple(point.found for point in points)
-    calibration_c = sensor.calibration_temperature_c if sensor.medium == "sound" else None
+    calibration_c = sensor.calibration_temperature_c if air_share(sensor) else None
     questions = answer_questions(found)
     findings = Findings(
         sensor=sensor.name,
@@ -168,6 +173,7 @@ def _mixture(
 def _absent(findings: Findings, sensor: SensorModel, no_mixture: str) -> dict[str, str]:
     """The reason for each part that was not found."""
     no_sound = "" if sensor.medium == "sound" else f"about sound, and this sensor ranges with {sensor.medium}"
+    no_air = no_sound or ("" if air_share(sensor) else "the starting model has no effect air_temperature")
     no_box = "no three ranges with hot or cold air at the sensor and the same ranges without"
     reasons = {
         "baseline": NOTHING_UNDISTURBED,
@@ -177,8 +183,8 @@ def _absent(findings: Findings, sensor: SensorModel, no_mixture: str) -> dict[st
         "field_of_view": "no range was tried at more than one angle (incidence_deg)",
         "sonar": no_sound or "needs breakaway angles at three ranges at least",
         **dict.fromkeys(QUESTIONS, NOT_MEASURED),
-        "hot_boxes": no_sound or no_box,
-        COMPENSATION: no_sound or NOT_MEASURED,
+        "hot_boxes": no_air or no_box,
+        COMPENSATION: no_air or NOT_MEASURED,
     }
     found = {question.name for question in findings.questions}
     return {name: why for name, why in reasons.items() if name not in found and not getattr(findings, name, None)}
@@ -259,7 +265,9 @@ def _changes(
         others = [effect for effect in sensor.effects if effect.get("name") != SESSION_EFFECT]
         changes["effects"] = (*others, {"name": SESSION_EFFECT, "parameters": {"deviation_cm": own}})
     if not findings.questions and not findings.temperature_compensation and not changes:
-        why = [*findings.warnings, findings.absent.get("calibration", "no calibration")]
+        reasons = {"calibration": calibration.reason} if calibration is not None else {}
+        reasons |= {name: why for name, why in findings.absent.items() if name in ("calibration", "mixture")}
+        why = [*(f"{name}: {each}" for name, each in reasons.items()), *findings.warnings]
         raise RecordingError(
             f"{_names(findings.sources)}: nothing can be found: {'; '.join(why)}. Expected a bench session; a flight, "
             "which varies everything at once, is for msp-lab gap"
@@ -283,21 +291,45 @@ def _warnings(
     sensors = sorted({p.sensor for p in undisturbed})
     if len(sensors) > 1:
         yield f"one model for {len(sensors)} sensors ({', '.join(sensors)}): their differences are in its noise"
+    others = list(dict.fromkeys(p.level for p in points if p.condition == "material"))
+    if others and (loaded.data.column("condition") == "").all():
+        usual = loaded.data.column("target")[[p.rows[0] for p in undisturbed]].tolist()
+        yield (
+            f"the column target varies: {listed(list(dict.fromkeys(usual)), SHOWN)} is the baseline, of which the "
+            f"model is made, and {listed(others, SHOWN)} are compared with it as material"
+        )
     if len({round(p.range_cm, 1) for p in undisturbed}) == 1:
         yield "one range only: no scale, no linearity, and nothing that depends on range can be found"
-    by_sound = any(p.sensor_model.medium == "sound" for p in undisturbed)
-    if calibration is not None and by_sound and all(np.isnan(p.air_temperature_c).all() for p in undisturbed):
+    few = sum(p.reading_cm.size < FEW_READINGS for p in undisturbed)
+    if few:
+        yield f"{few} of {len(undisturbed)} undisturbed points have fewer than {FEW_READINGS} readings"
+    yield from _silent([p for p in points if p.condition in (*UNDISTURBED, "material")])
+    no_thermometer = all(np.isnan(p.air_temperature_c).all() for p in undisturbed)
+    corrects = any(p.sensor_model.medium == "sound" and p.air_share == 0.0 for p in undisturbed)
+    if calibration is not None and corrects and not no_thermometer:
+        yield (
+            "the starting model has no effect air_temperature, so the sensor is taken to compensate itself, and "
+            "air_temperature_c is not used"
+        )
+    if calibration is not None and any(p.air_share for p in undisturbed) and no_thermometer:
         yield (
             "no air_temperature_c: a scale is the sensor's and the air's together, 0.17 % a degree; with "
             "a thermometer in the bridge the air would be corrected twice"
         )
-    few = sum(p.reading_cm.size < FEW_READINGS for p in undisturbed)
-    if few:
-        yield f"{few} of {len(undisturbed)} undisturbed points have fewer than {FEW_READINGS} readings"
-    silent = [p for p in undisturbed if p.found.error is None]
-    if silent:
-        shown = ", ".join(f"{p.range_cm:g}" for p in silent[:5])
-        yield f"{len(silent)} points have almost no reading of the surface: at {shown} cm"
+
+
+def _silent(points: Sequence[PointReadings]) -> Iterator[str]:
+    """Points without readings of the surface: of what and at which ranges, and the runs that never answered."""
+    silent = [p for p in points if p.found.error is None]
+    if not silent:
+        return
+    of, here = (Counter(p.level or p.run for p in some) for some in (points, silent))
+    where = [f"{word} {count} of {of[word]}" if of[word] > 1 else word for word, count in here.most_common()]
+    text = f"{len(silent)} of {len(points)} points have almost no reading of the surface, at "
+    text += f"{span(np.array([p.range_cm for p in silent]))} cm: {listed(where, SHOWN)}"
+    answered = {p.run for p in points if p.found.no_answer < p.found.readings}
+    dead = list(dict.fromkeys(p.run for p in silent if p.run not in answered))
+    yield text + (f"; no answer at all in {counted(len(dead), 'run')}: {listed(dead, SHOWN)}" if dead else "")
 
 
 def _angle_warnings(angles: Sequence[BreakawayAngle], rows: Sequence[tuple[float, float]]) -> Iterator[str]:

@@ -158,6 +158,8 @@ class Mixture:
     fits."""
     pit_p_value: float | None
     """p-value of uniformity; a small one means that the model does not fit. None: too few readings for it."""
+    shares: dict[str, float]
+    """Mean share of each kind over these readings, each at its own range; rows without an answer are none of them."""
     conditional: str
     """What depends on range, and why, in a sentence."""
     notes: tuple[str, ...] = ()
@@ -385,7 +387,8 @@ class Findings:
     date: str
     """Name of the part, and date of the characterisation, ISO 8601."""
     calibration_temperature_c: float | None
-    """Air temperature that the sensor assumes [deg C]; None for light and radio, whose ranges are not the air's."""
+    """Air temperature that the sensor assumes [deg C]; None where the air does not change its readings: of light,
+    radio, and sound if the sensor compensates itself."""
     sources: tuple[SourceFile, ...]
     points: tuple[PointResult, ...]
     """The data, and all set-ups in them."""

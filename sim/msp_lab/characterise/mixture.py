@@ -5,7 +5,7 @@ its placement is not noise of the sensor; the calibration deals with the differe
 """
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from operator import attrgetter
 
 import numpy as np
@@ -19,6 +19,7 @@ from msp_lab.mixture_fit.fit_result import FitError, FitResult
 from msp_lab.mixture_fit.grid import ReadingGrid
 from msp_lab.mixture_fit.parameters import KINDS, MIN_WEIGHT, PARAMETERS, with_floors
 from msp_lab.mixture_fit.pit import goodness_of_fit
+from msp_lab.readings.resolution import TOLERANCE, constants_cm
 from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.mixture import ReadingModel
@@ -45,13 +46,17 @@ def fit_mixture(
     except ValueError as error:
         raise FitError(str(error)) from None
     set_ups = [_placement_error(point, calibration) for point in points]
-    reading_cm, expected_cm, reference_std_cm = _readings(points, set_ups, calibration)
+    reading_cm, expected_cm, reference_std_cm, set_up = _readings(points, set_ups, calibration)
+    limits_cm = grid.minimum_cm, grid.maximum_cm
+    constant_cm = constants_cm(reading_cm, set_up.astype(np.intp), grid.resolution_cm, limits_cm)
+    reading_cm, expected_cm = reading_cm - constant_cm, expected_cm - constant_cm
     whole = grid.nearest(reading_cm)
     has_ranges = np.unique([round(point.range_cm, 1) for point in points]).size > 1
     result = fit_readings(whole, expected_cm, grid, growth=has_ranges, reference_std_cm=reference_std_cm)
     notes = []
-    if not np.array_equal(whole, reading_cm):
+    if (np.abs(whole - reading_cm) > TOLERANCE * grid.resolution_cm).any():
         notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm: their own step is none, or a finer one")
+    shares = _shares(result, expected_cm)
     good = goodness_of_fit(result, whole, expected_cm, rng, reference_std_cm=reference_std_cm)
     moved = tuple(set_up for set_up in set_ups if set_up is not None)
     fitted, raised = with_floors(result.parameters, saturates=grid.saturates)
@@ -72,7 +77,8 @@ def fit_mixture(
         log_likelihood=result.log_likelihood,
         pit_counts=good.pit_histogram,
         pit_p_value=good.chi_square_p_value,
-        conditional=_conditional(result, expected_cm) if has_ranges else "not tried: all readings are of one range",
+        shares=shares,
+        conditional=_conditional(result, shares) if has_ranges else "not tried: all readings are of one range",
         notes=tuple(notes),
         set_ups=moved,
     )
@@ -105,18 +111,18 @@ def _notes(
 
 def _readings(
     points: Sequence[PointReadings], set_ups: Sequence[PlacementError | None], calibration: Calibration
-) -> tuple[Array, Array, Array]:
-    """Answers [cm], the readings that are expected, and the standard deviation of the reference's own error."""
-    columns = [np.empty((3, 0))]
-    for point, set_up in zip(points, set_ups, strict=True):
+) -> tuple[Array, Array, Array, Array]:
+    """Answers [cm], the readings that are expected, the reference's own standard deviation, and numbers of set-ups."""
+    columns = [np.empty((4, 0))]
+    for number, (point, set_up) in enumerate(zip(points, set_ups, strict=True)):
         expected_cm, std_cm = calibration.forward(point.apparent_cm), point.reference_std_cm
         if set_up is not None:
             # The mean of a placement's own hits has the error of its one reference in it.
             expected_cm, std_cm = expected_cm + set_up.error_cm, np.zeros(std_cm.size)
-        columns.append(np.array([point.reading_cm, expected_cm, std_cm]))
-    reading_cm, expected_cm, std_cm = np.concatenate(columns, axis=1)
+        columns.append(np.array([point.reading_cm, expected_cm, std_cm, np.full(std_cm.size, float(number))]))
+    reading_cm, expected_cm, std_cm, of = np.concatenate(columns, axis=1)
     answered = ~np.isnan(reading_cm)
-    return reading_cm[answered], expected_cm[answered], std_cm[answered]
+    return reading_cm[answered], expected_cm[answered], std_cm[answered], of[answered]
 
 
 def _placement_error(point: PointReadings, calibration: Calibration) -> PlacementError | None:
@@ -140,15 +146,20 @@ def _parameter(name: str, result: FitResult, before: MixtureParameters, at_bound
     return MixtureParameter(full_name, estimate, attrgetter(full_name)(before), at_bound)
 
 
-def _conditional(result: FitResult, expected_cm: Array) -> str:
+def _shares(result: FitResult, expected_cm: Array) -> dict[str, float]:
+    """Mean shares of the kinds of readings at these ranges."""
+    grid = result.grid
+    model = ReadingModel(result.parameters, grid.minimum_cm, grid.maximum_cm, resolution_cm=grid.resolution_cm)
+    return {name: float(np.mean(share)) for name, share in zip(KINDS, model.shares(expected_cm), strict=True)}
+
+
+def _conditional(result: FitResult, shares: Mapping[str, float]) -> str:
     grown = [PARAMETERS[name].grows for name, value in result.estimates.items() if PARAMETERS[name].grows and value]
     if not grown:
         return "nothing depends on range (by BIC)"
     growing = f"{' and '.join(grown)} depend{'s' if len(grown) == 1 else ''} on range (by BIC)"
     if "missed_growth_per_m" not in result.estimates:
         return growing
-    grid = result.grid
-    model = ReadingModel(result.parameters, grid.minimum_cm, grid.maximum_cm, resolution_cm=grid.resolution_cm)
-    shares = zip(KINDS, model.shares(expected_cm), strict=True)
-    shown = ", ".join(f"{name} {np.mean(share):.4f}" for name, share in shares)
-    return f"{growing}: weights are those at {WEIGHTS_RANGE_CM:g} cm; over these readings: {shown}"
+    shown = ", ".join(f"{name} {share:.4f}" for name, share in shares.items())
+    at_cm = min(WEIGHTS_RANGE_CM, result.grid.maximum_cm)
+    return f"{growing}: weights are those at {at_cm:g} cm; over these readings: {shown}"

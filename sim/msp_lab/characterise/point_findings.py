@@ -43,7 +43,8 @@ class PointResult(SetUp):
     """Mean error of the hits [cm] and their standard deviation with the rounding taken out [cm]; their intervals
     contain the scatter of readings, not the error of the placement. None without hits."""
     compensated_error: IntervalEstimate | None
-    """The mean error compensated for the air's temperature; None without one, and for light and radio."""
+    """The mean error compensated for the air's temperature; None without one, and where the air does
+    not change the readings."""
     worst_error_cm: float | None
     """Largest error of a reading that is no code, signed."""
 

@@ -6,7 +6,7 @@ scatter of readings use points as their unit.
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import groupby
@@ -22,6 +22,8 @@ from msp_range.acoustics.air import ZERO_CELSIUS_K, sonic_temperature_c
 from msp_range.arrays import Array, Flags, Indices, Texts, numbered
 from msp_range.reading_model.sensor_model import SATURATED_CM, SensorModel
 from msp_range.recording.csv_form import MeasuredData
+from msp_sim.effects.air_temperature import AIR_TEMPERATURE
+from msp_sim.model.model import Model
 
 GATE_CM = 8.0
 """A reading this near to the middle of its point's hits is one [cm]: four times the noise that a Kalman filter of the
@@ -48,6 +50,12 @@ Record = TypeVar("Record")
 BASELINE = "baseline"
 VARIED = {"incidence_deg": "field_of_view", "vibration_hz": "vibration", "external_level_db": "external_interference"}
 """Experiment of a reading without a `condition`: that of a column which is known and not zero."""
+USUAL_TARGETS = ("plywood", "wood")
+"""Words of the target that others are compared with; without such a one it is that with the most readings."""
+COMPARED_SHARE = 0.5
+"""A target varies if this share of its readings is at ranges of the usual one. Those at ranges of their own are part of
+the baseline: a wall that only the farthest points have is no material to compare. Any value from 0.2 to 0.8 decides
+alike."""
 
 SETTINGS = (
     "target_size_cm",
@@ -86,6 +94,8 @@ class PointReadings(SetUp):
     """Step of the readings [cm]; 0 where they have none."""
     rows: Indices
     """Their row numbers in the data."""
+    air_share: float = 0.0
+    """As of `air_share`."""
     usual_spread_cm: float | None = None
     """Spread before rounding that the baseline's set-ups have in common [cm]; None where too few of them show any."""
 
@@ -156,16 +166,18 @@ class PointReadings(SetUp):
 
     @cached_property
     def compensation(self) -> Array:
-        """sqrt(T / T_calibration), absolute temperatures of dry air as fast, for each row.
+        """Factor of a reading that takes off what the air does to it, for each row.
 
-        NaN where the air's temperature is unknown, and for light and radio, which it does not change. Air of unknown
-        humidity counts as dry.
+        Of a sensor that corrects nothing it is sqrt(T / T_calibration), absolute temperatures of dry air as fast. NaN
+        where the air's temperature is unknown, and where it does not change the readings. Air of unknown humidity
+        counts as dry.
         """
-        if self.sensor_model.medium != "sound":
+        if self.air_share == 0.0:
             return np.full(self.air_temperature_c.size, math.nan)
         calibration_k = self.sensor_model.calibration_temperature_c + ZERO_CELSIUS_K
         sonic_c = sonic_temperature_c(self.air_temperature_c, np.nan_to_num(self.humidity_pct))
-        return np.sqrt((sonic_c + ZERO_CELSIUS_K) / calibration_k)
+        bare = np.sqrt((sonic_c + ZERO_CELSIUS_K) / calibration_k)
+        return 1.0 / (1.0 + self.air_share * (1.0 / bare - 1.0))
 
     @cached_property
     def apparent_cm(self) -> Array:
@@ -243,7 +255,7 @@ def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[Poin
     different = (*words.values(), known.column("target"), _places(known["true_range_cm"]), angle, *settings)
     keys = np.column_stack([numbered(column) for column in different])
     point = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
-    step_cm = step_of(known["reading_cm"], ON_STEP_SHARE)
+    step_cm, share = step_of(known["reading_cm"], ON_STEP_SHARE), air_share(sensor_model)
     points = []
     for here in np.split(np.argsort(point, kind="stable"), np.cumsum(np.bincount(point))[:-1]):
         part = known.select(here)
@@ -261,12 +273,21 @@ def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[Poin
                 sensor_model=sensor_model,
                 step_cm=step_cm,
                 rows=rows[here],
+                air_share=share,
             )
         )
     points.sort(key=lambda each: int(each.rows[0]))
     alike = [set_up.reading_cm[set_up.is_hit] for set_up in points if set_up.condition == BASELINE and set_up.is_fixed]
     usual_cm = common_spread([each for each in alike if each.size >= MIN_HITS], step_cm)
     return [replace(set_up, usual_spread_cm=usual_cm) if set_up.condition == BASELINE else set_up for set_up in points]
+
+
+def air_share(sensor: SensorModel) -> float:
+    """Share of what the air's temperature does to echoes that a model's readings show: that of its `air_temperature`.
+
+    It is 0 for a model without this effect: a sensor that compensates itself, or ranges with light or radio.
+    """
+    return sum(term.values["share"] for term in Model.of(sensor).effects if term.effect is AIR_TEMPERATURE)
 
 
 def conditions(data: MeasuredData) -> Texts:
@@ -278,8 +299,30 @@ def conditions(data: MeasuredData) -> Texts:
     if (found == "field_of_view").any():
         # The rows straight ahead belong to the same experiment.
         found[(data.column("incidence_deg") == 0.0) & (found == BASELINE)] = "field_of_view"
+    found[_other_targets(data, found == BASELINE)] = "material"
     named = data.column("condition")
     return np.where(named == "", found, named)
+
+
+def _other_targets(data: MeasuredData, rows: Flags) -> Flags:
+    """Which of these rows are of another target than the usual one, at its ranges."""
+    target, place_cm = data.column("target"), np.round(data["true_range_cm"], 1)
+    found, rows = np.zeros(len(data), dtype=bool), rows & (data.column("condition") == "") & (target != "")
+    words = np.unique(target[rows])
+    if words.size < 2:
+        return found
+    answers = [np.sum(rows & (target == word) & ~np.isnan(data["reading_cm"])) for word in words]
+    usual = usual_target(words.tolist()) or words[np.argmax(answers)]
+    is_common = np.isin(place_cm, place_cm[rows & (target == usual)])
+    for word in words[words != usual]:
+        own = rows & (target == word)
+        found |= own & (is_common[own].mean() >= COMPARED_SHARE)
+    return found
+
+
+def usual_target(words: Sequence[str]) -> str | None:
+    """The target that others are compared with by its word; None: no word says so."""
+    return next((each for usual in USUAL_TARGETS for each in words if usual in each.lower()), None)
 
 
 def _levels(data: MeasuredData, condition: Texts, frequency_hz: float) -> Texts:

@@ -20,6 +20,7 @@ from scipy.special import logit
 from msp_lab.characterise.experiments import QUESTIONS
 from msp_lab.characterise.findings import NAMES, VERDICTS, FactorEffect, Metric, Question
 from msp_lab.characterise.point_findings import PointResult
+from msp_lab.characterise.points import usual_target
 from msp_lab.characterise.temperature import ROOM_C, ROOM_WITHIN_C
 from msp_lab.estimates import IntervalEstimate, detectable, holm, student
 from msp_range.arrays import Array
@@ -136,7 +137,7 @@ def _reference_level(name: str, points: Sequence[PointResult]) -> str | None:
         distance_c, level = min(known, default=(math.inf, ""))
         return level if distance_c < ROOM_WITHIN_C else None
     if name == "material":
-        return next((level for word in ("plywood", "wood") for level in levels if word in level.lower()), None)
+        return usual_target(levels)
     if name == "vibration" and len(levels) == 1:
         return None
     return next((level for level in levels if level in UNVARIED.get(name, ())), None)

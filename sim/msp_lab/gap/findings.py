@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
+from msp_sim.page.text import capitalised
+
 Verdict: TypeAlias = Literal[
     "nothing missing", "undecided", "absorbed", "explained", "improved", "partly explained", "unexplained"
 ]
@@ -172,6 +174,10 @@ class UnknownEffect:
     z: float | None = None
     where: str = ""
     """As of a `FoundEffect`."""
+
+
+OF_READINGS = ("resolution", "code")
+"""Names of findings that are of the data's form: the step in which readings are compared, and codes."""
 
 
 @dataclass(frozen=True)
@@ -361,7 +367,14 @@ class GapFindings:
     @property
     def refitted(self) -> tuple[CalibrationFinding, ...]:
         """The numbers of the base model that are others; the readings' step and codes are none."""
-        return tuple(number for number in self.calibration if number.name not in ("resolution", "code"))
+        return tuple(number for number in self.calibration if number.name not in OF_READINGS)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was noticed about the readings, with the step in which they are compared and the codes set aside; a
+        sentence each."""
+        found = (f"{capitalised(each.finding)}." for each in self.calibration if each.name in OF_READINGS)
+        return (*self.messages, *found)
 
     @property
     def confirmed(self) -> tuple[FoundEffect, ...]:

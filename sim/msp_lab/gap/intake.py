@@ -25,7 +25,7 @@ from msp_lab.gap.runs import NO_CONTEXT, Splits, draw_splits, known_values, plac
 from msp_lab.mixture_fit.parameters import MIN_WEIGHT, with_floors
 from msp_lab.readings.column_map import ColumnMap
 from msp_lab.readings.intake import PREVIOUS, Which, load_readings, time_order
-from msp_lab.readings.resolution import TOLERANCE, step_of, step_with, to_step
+from msp_lab.readings.resolution import TOLERANCE, constants_cm, runs_and_sensors, step_of, step_with, to_step
 from msp_lab.readings.suspicious import suspicious
 from msp_range.arrays import Array, Column, Flags, Indices, Texts, numbered
 from msp_range.reading_model.kernel import is_on_grid
@@ -34,10 +34,13 @@ from msp_range.recording.csv_form import MeasuredData
 from msp_sim.effects.base import PATH, REFERENCE, REFERENCE_STD, Scene
 from msp_sim.effects.path import ReferencePath, with_path
 from msp_sim.model.model import Model
+from msp_sim.page.text import counted, listed
 
 NO_SLICES = NO_CONTEXT | {REFERENCE_STD, PATH}
 SAME_CM = 1e-6
 """Readings that differ by less are the same: it is above the rounding of metres and below any resolution [cm]."""
+SHOWN_RUNS = 3
+"""Of runs that are left out, so many are named."""
 BLANK_IS_NONE = frozenset(
     {
         "neighbour_lag_ms",
@@ -189,12 +192,22 @@ def _compared_rows(data: MeasuredData) -> tuple[MeasuredData, list[str]]:
     """Rows with a reading and a true range, and how many are left out."""
     messages = []
     silent, lost = np.isnan(data["reading_cm"]), np.isnan(data["true_range_cm"])
-    if silent.any():
-        messages.append(f"{silent.sum()} rows have no reading (no answer) and are left out.")
-    if (lost & ~silent).any():
-        messages.append(f"{(lost & ~silent).sum()} readings have no true range and are left out.")
+    for rows, what in (
+        (silent, "rows have no reading (no answer) and are left out"),
+        (lost & ~silent, "readings have no true range and are left out"),
+    ):
+        if rows.any():
+            messages.append(f"{rows.sum():,} {what}{_whole_runs(data['run'], rows)}.")
     kept = ~(silent | lost)
     return (data if kept.all() else data.select(kept)), messages
+
+
+def _whole_runs(run: Texts, left_out: Flags) -> str:
+    """Which runs are left out with all of their rows, as the end of a sentence; empty where none is."""
+    gone = np.setdiff1d(run[left_out], run[~left_out]).tolist()
+    if not gone:
+        return ""
+    return f"; nothing else is in {counted(len(gone), 'run')}: {listed(gone, SHOWN_RUNS)}"
 
 
 def _without_copies(data: MeasuredData) -> tuple[MeasuredData, list[str]]:
@@ -229,15 +242,26 @@ def _on_grid(data: MeasuredData, model: Model, step_cm: float) -> tuple[Measured
     reading_cm = data["reading_cm"]
     if step_cm == model.sensor.resolution_cm and is_on_grid(reading_cm, step_cm).all():
         return data, _coarse(reading_cm, model)
+    limits_cm = model.sensor.minimum_cm, model.sensor.maximum_cm
+    constant_cm = constants_cm(reading_cm, runs_and_sensors(data), step_cm, limits_cm)
+    reading_cm, previous_cm = reading_cm - constant_cm, data[PREVIOUS] - constant_cm
     rounded = to_step(reading_cm, step_cm)
     off = np.abs(reading_cm - rounded) > TOLERANCE * step_cm
-    columns = {**data.columns, "reading_cm": rounded, PREVIOUS: _previous_on_grid(reading_cm, data[PREVIOUS], step_cm)}
-    model_cm = model.sensor.resolution_cm
-    if not off.any() and step_cm == model_cm:
+    columns = {**data.columns, "reading_cm": rounded, PREVIOUS: _previous_on_grid(reading_cm, previous_cm, step_cm)}
+    columns["true_range_cm"] = data["true_range_cm"] - constant_cm
+    added_cm, model_cm = np.unique(np.round(constant_cm[constant_cm != 0.0], 4)), model.sensor.resolution_cm
+    if not off.any() and not added_cm.size and step_cm == model_cm:
         return MeasuredData(columns), _coarse(rounded, model)
     texts = []
     if step_cm != model_cm:
         texts.append(f"the readings are compared in steps of {step_cm:g} cm, and the model's are {model_cm:g} cm")
+    if added_cm.size:
+        values = f"{added_cm[0]:g}" + (f" to {added_cm[-1]:g}" if added_cm.size > 1 else "")
+        share = f"{100.0 * (constant_cm != 0.0).mean():.3g} %"
+        texts.append(
+            f"{values} cm is added to the multiples of {step_cm:g} cm in {share} of the readings; it is taken off "
+            "these and their true ranges, which leaves their errors as they are"
+        )
     own_cm: float | None = step_cm
     if off.any():
         own_cm = step_of(reading_cm) or None
@@ -283,8 +307,8 @@ def _without_codes(data: MeasuredData, model: Model) -> tuple[MeasuredData, list
             is_code |= same
             text = (
                 f"{value:g} cm comes in {100.0 * same.mean():.3g} % of the readings, at true ranges of "
-                f"{here.min():.0f} to {here.max():.0f} cm: a code that the model does not declare; these readings are "
-                "set aside"
+                f"{here.min():.0f} to {here.max():.0f} cm: a code that the model does not declare; these "
+                f"{same.sum():,} readings are set aside{_whole_runs(data['run'], same)}"
             )
             found.append(CalibrationFinding("code", text, before=0.0, after=float(same.mean()), unit="1"))
     if not is_code.any() or is_code.all():

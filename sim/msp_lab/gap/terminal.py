@@ -120,7 +120,7 @@ def print_findings(findings: GapFindings) -> None:
         for piece in [piece for piece in findings.slices if piece.variables][:SLICES]:
             p = "" if piece.p_value is None else f", p {piece.p_value:.3f}"
             out.print(f"  {slice_label(piece.where)}: {piece.channel}{p}")
-    for message in findings.messages:
+    for message in findings.notes:
         out.print(f"note: {message}", style="dim")
     columns = sorted({name for untested in findings.not_testable for name in untested.columns})
     if columns:

@@ -84,7 +84,7 @@ class FoundRanger:
     with_truth: int
     """Readings with a true range."""
     repeated: float
-    """Share of the readings that are the one before them, while the range changes."""
+    """Share of the readings that are the one before them, where they change by a centimetre from one to the next."""
     lag_s: Interval | None = None
     """Time by which the readings lag behind the reference [s]; None: it cannot be determined."""
     offset_cm: float | None = None
@@ -393,7 +393,7 @@ def _span(values: Array) -> float | None:
 
 
 def _repeated(reading_cm: Array) -> float:
-    """Share of readings that are the one before them, where the range changes by a centimetre from one to the next."""
+    """As `FoundRanger.repeated`, of those with an answer."""
     around = REPEATS_ROWS // 2
     change_cm = np.abs(reading_cm[REPEATS_ROWS:] - reading_cm[:-REPEATS_ROWS])
     moving = np.flatnonzero((change_cm > REPEATS_ROWS) & (change_cm < 10.0 * REPEATS_ROWS)) + around

@@ -20,6 +20,9 @@ from msp_range.mavlink.orientation import DOWN
 LONGEST_GAP_S = 1.0
 """Values are interpolated between samples that are no farther apart than this, or than three times the usual interval
 of the series [s]. Longer: a value is made up where the log was silent; shorter: series of 1 Hz have holes."""
+PAUSE_INTERVALS = 10.0
+"""Samples that are so many mean intervals apart have a pause between them, which is no time that they cover. Fewer: a
+link that stutters has a higher rate than its sensor; more: short pauses count as slow samples."""
 
 RTK_FIXED = 6
 """Kind of a satellite fix, in MAVLink, ArduPilot and PX4 alike: RTK, to centimetres; a float solution (5) is off by
@@ -93,11 +96,21 @@ class Series:
 
     @property
     def rate_hz(self) -> float:
-        """Samples per second: the inverse of the median interval; NaN for fewer than two."""
-        if self.time_s.size < 2:
-            return float("nan")
-        interval_s = float(np.median(np.diff(self.time_s)))
-        return 1.0 / interval_s if interval_s > 0.0 else float("nan")
+        """Samples per second of the time that they cover; NaN for fewer than two.
+
+        Pauses are left out: `PAUSE_INTERVALS` mean intervals and longer. Of samples that arrive several at once, as
+        over a radio link, the median interval says nothing.
+
+        Examples
+        --------
+        >>> in_bursts_s = np.repeat(np.arange(10.0), 3) + np.tile([0.0, 0.002, 0.004], 10)
+        >>> time_s = np.concatenate([in_bursts_s, in_bursts_s + 1000.0])
+        >>> round(Series("", time_s, time_s).rate_hz, 1)
+        3.2
+        """
+        gaps_s = np.diff(self.time_s)
+        gaps_s = gaps_s[gaps_s < PAUSE_INTERVALS * gaps_s.mean()] if gaps_s.size else gaps_s
+        return float(1.0 / gaps_s.mean()) if gaps_s.any() else float("nan")
 
     def during(self, begins_s: float, ends_s: float, later_s: float) -> "Series":
         """The samples between two times, moved ``later_s`` back in time [s]."""

@@ -10,8 +10,7 @@ from msp_range.terminal import console, plain_table
 from msp_sim.page.text import counted, listed
 
 MANY_REPEATS = 0.3
-"""A larger share of repeated readings while the range changes is reported: in a log with two rows a reading it is a
-half."""
+"""A larger share of repeated readings while they change is reported: in a log with two rows a reading it is a half."""
 MOST_EFFECTS = 4
 """Most names of effects in a line; dataset.json has all."""
 
@@ -83,8 +82,8 @@ def _fit(ranger: FoundRanger, found: Imported) -> list[str]:
         lines.append("the reference's own error is not known, so its scatter counts as the range finder's")
     if ranger.repeated > MANY_REPEATS:
         lines.append(
-            f"{100.0 * ranger.repeated:.0f} % of the readings repeat the one before while the range changes: the log "
-            "has more rows than there are readings"
+            f"{100.0 * ranger.repeated:.0f} % of the readings repeat the one before where they change by a centimetre "
+            "a row: the log has more rows than there are readings"
         )
     return lines + list(ranger.notes)
 

@@ -84,7 +84,7 @@ def fit_readings(
     if best.left_nats > MOST_LEFT_NATS:
         raise FitError(f"the fit of {rows.readings:.0f} readings does not converge: {best.left_nats:.2g} nats are left")
     result = result_of(rows, best, moving, mean_length_m)
-    hits, sigma_cm = result.estimates["hit"] * rows.readings, result.estimates["sigma_cm"]
+    hits, sigma_cm = rows.hits(best.numbers), result.estimates["sigma_cm"]
     if hits < FEWEST_HITS or best.numbers.log_sigma >= HIGHEST.log_sigma:
         raise FitError(
             f"found {hits:.0f} hits with a spread of {sigma_cm:.3g} cm in {rows.readings:.0f} readings, expected at "

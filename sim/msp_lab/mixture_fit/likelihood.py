@@ -15,7 +15,7 @@ from msp_lab.mixture_fit.grid import ReadingGrid
 from msp_lab.mixture_fit.maximise import held_numbers, maximise
 from msp_lab.mixture_fit.parameters import MIN_WEIGHT, NAMES, Numbers, bounds_of
 from msp_range.arrays import Array
-from msp_range.reading_model.rows import FREE, Base, ByRow, MixtureRows
+from msp_range.reading_model.rows import FREE, Base, ByRow, MixtureRows, shares_of
 from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM
 
 CHUNK = 1 << 13
@@ -83,6 +83,11 @@ class Likelihood(ByRow):
         """Range on which spread and missed echoes may depend [m]."""
         return np.clip(self.expected_cm, 0.0, self.grid.maximum_cm) / 100.0
 
+    @property
+    def _beyond_m(self) -> Array:
+        """That range beyond the one to which the share of missed echoes refers [m]."""
+        return self._within_m - min(WEIGHTS_RANGE_CM, self.grid.maximum_cm) / 100.0
+
     def rows(self, numbers: Numbers) -> MixtureRows:
         """The distribution of each reading."""
         limits = self.grid.minimum_cm, self.grid.maximum_cm, self.grid.resolution_cm
@@ -90,9 +95,13 @@ class Likelihood(ByRow):
         rows = rows.changed(Base(0.0, *numbers[:4]))
         hit, short, missed, random = rows.log_weights
         if numbers.missed_growth != 0.0:
-            missed = missed + numbers.missed_growth * (self._within_m - WEIGHTS_RANGE_CM / 100.0)
+            missed = missed + numbers.missed_growth * self._beyond_m
         variance = rows.sigma_cm**2 + self.reference_cm2 + numbers.sigma_growth_2 * self._within_m**2
         return replace(rows, sigma_cm=np.sqrt(variance), log_weights=(hit, short, missed, random))
+
+    def hits(self, numbers: Numbers) -> float:
+        """How many of the readings are expected to be hits, each by its share at its own range."""
+        return float(self.count @ np.broadcast_to(shares_of(self.rows(numbers).log_weights)[0], len(self)))
 
     def slopes(self, at: Array) -> tuple[float, tuple[Array, Array]]:
         """Value, gradient (k,) and outer product of the scores (k, k), at numbers (k,)."""
@@ -108,7 +117,7 @@ class Likelihood(ByRow):
             by_variance = by.log_sigma / rows.sigma_cm**2
             np.multiply(by_variance, 0.5 * part._within_m**2, out=by.sigma_growth_2)
             np.multiply(by_variance, np.exp(2.0 * numbers.log_sigma), out=by.log_sigma)
-            np.multiply(by.log_odds_missed, part._within_m - WEIGHTS_RANGE_CM / 100.0, out=by.missed_growth)
+            np.multiply(by.log_odds_missed, part._beyond_m, out=by.missed_growth)
             np.divide(by.rate, numbers.rate, out=by.rate)
             counted = scores * part.count
             value += float(part.count @ log_p)

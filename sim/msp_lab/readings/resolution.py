@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from msp_range.arrays import Array, Indices, numbered
+from msp_range.arrays import Array, Flags, Indices, numbered
 from msp_range.reading_model.kernel import on_grid
 from msp_range.recording.csv_form import MeasuredData
 from msp_sim.model.model import Model
@@ -44,7 +44,7 @@ BETWEEN_STEPS = 0.2
 count; larger: few ranges are left to show a step."""
 LEAST_VALUES = 8
 """A run with fewer different readings does not show its step: if the true step is half as large, all of this many are
-multiples of the larger one with a probability of 0.4 %. Fewer: steps by chance; more: short runs in whole centimetres
+whole larger ones apart with a probability of 0.8 %. Fewer: steps by chance; more: short runs in whole centimetres
 are overlooked."""
 WINDOW = 100
 """Values are compared among this many readings in a row. A step that is corrected for a temperature is one step in
@@ -91,11 +91,58 @@ def step_with(data: MeasuredData, model: Model) -> float:
     """
     if any("code" in effect.effect.channels and not effect.effect.any_step for effect in model.effects):
         return model.sensor.resolution_cm
-    reading_cm = data["reading_cm"]
-    usual = (reading_cm > model.sensor.minimum_cm) & (reading_cm < model.sensor.maximum_cm)
-    run = numbered(np.char.add(np.char.add(data["run"], "\0"), data["sensor"]))
+    usual, run = _usual(data, model), runs_and_sensors(data)
     limits_cm = model.sensor.minimum_cm, model.sensor.maximum_cm
-    return compared_step(reading_cm[usual], run[usual], model.sensor.resolution_cm, limits_cm)
+    return compared_step(data["reading_cm"][usual], run[usual], model.sensor.resolution_cm, limits_cm)
+
+
+def constants_cm(reading_cm: Array, run: Indices, step_cm: float, limits_cm: tuple[float, float]) -> Array:
+    """Return what was added to readings that are a constant beside the multiples of a step, run by run [cm], (n,).
+
+    Rounded away, it would be an offset of up to half a step that no sensor has. It is 0 where nothing was added, for
+    readings of such a run that are no multiples even without it, as its codes are, and in runs without a step.
+
+    Parameters
+    ----------
+    reading_cm
+        Readings, (n,); NaN: none.
+    run
+        Number of the run and sensor of each, (n,).
+    step_cm
+        The step.
+    limits_cm
+        The sensor's: readings between them show whether a run has the step.
+
+    Examples
+    --------
+    >>> calibrated_cm = np.array([12.34, 13.34, 15.34, 12.34, 400.0])
+    >>> print(constants_cm(calibrated_cm, np.zeros(5, dtype=int), 1.0, (2.0, 400.0)).round(3))
+    [0.34 0.34 0.34 0.34 0.  ]
+    """
+    constant_cm = np.zeros(reading_cm.size)
+    usual = (reading_cm > limits_cm[0]) & (reading_cm < limits_cm[1])
+    for number in np.unique(run[usual]):
+        own = np.flatnonzero(run == number)
+        shown_cm = reading_cm[own[usual[own]]]
+        middle_cm = _most_frequent(shown_cm)
+        beside_cm = middle_cm - float(to_step(np.array([middle_cm]), step_cm)[0])
+        # Of a single reading any step is one beside a constant.
+        is_beside = shown_cm.size > 1 and abs(beside_cm) > TOLERANCE * step_cm
+        if is_beside and _share_on(shown_cm - middle_cm, step_cm) >= ON_STEP_SHARE:
+            constant_cm[own[_is_on(reading_cm[own] - middle_cm, step_cm)]] = beside_cm
+    return constant_cm
+
+
+def runs_and_sensors(data: MeasuredData) -> Indices:
+    """Return the number of the run and sensor of each reading, (n,): what was added is the same in one of these."""
+    return numbered(np.char.add(np.char.add(data["run"], "\0"), data["sensor"]))
+
+
+def _usual(data: MeasuredData, model: Model) -> Flags:
+    """Readings between the sensor's limits, which are its codes."""
+    reading_cm = data["reading_cm"]
+    usual: Flags = (reading_cm > model.sensor.minimum_cm) & (reading_cm < model.sensor.maximum_cm)
+    return usual
 
 
 def measured_step(data: MeasuredData, model: Model) -> float:
@@ -104,7 +151,7 @@ def measured_step(data: MeasuredData, model: Model) -> float:
     Where the true ranges are multiples of a coarse step, quiet readings are too, and show nothing.
     """
     step_cm, reading_cm, true_cm = step_with(data, model), data["reading_cm"], data["true_range_cm"]
-    usual = (reading_cm > model.sensor.minimum_cm) & (reading_cm < model.sensor.maximum_cm)
+    usual = _usual(data, model)
     coarse_cm = step_of(reading_cm[usual], ON_STEP_SHARE)
     if coarse_cm <= step_cm:
         return step_cm
@@ -116,8 +163,9 @@ def measured_step(data: MeasuredData, model: Model) -> float:
 def compared_step(reading_cm: Array, run: Indices, model_step_cm: float, limits_cm: tuple[float, ...] = ()) -> float:
     """Return the step in which a file's readings are compared with a model [cm].
 
-    The smallest one that leaves out nothing in which they come: in no run are values farther apart. Readings that are
-    coarser than whole centimetres and the model are compared in the larger step of these two.
+    The smallest one that leaves out nothing in which they come: in no run are values farther apart. A step is the
+    distance of readings of a run, to all of which the same may have been added. Readings that are coarser than whole
+    centimetres and the model are compared in the larger step of these two.
 
     Parameters
     ----------
@@ -141,15 +189,16 @@ def compared_step(reading_cm: Array, run: Indices, model_step_cm: float, limits_
     steps = sorted(
         step_cm for step_cm in usual if not any(round(limit_cm / step_cm, 6) % 1.0 for limit_cm in limits_cm)
     )
-    least_cm, gaps, weights = 0.0, [np.zeros(0)], [np.zeros(0)]
+    least_cm, gaps, weights, apart_cm = 0.0, [np.zeros(0)], [np.zeros(0)], np.array(reading_cm)
     for name in np.unique(run):
         own = np.round(reading_cm[run == name], 6)
         for start in range(0, own.size, WINDOW):
             values, counts = np.unique(own[start : start + WINDOW], return_counts=True)
             gaps.append(np.diff(values))
             weights.append(np.minimum(counts[1:], counts[:-1]).astype(np.float64))
+        apart_cm[run == name] -= _most_frequent(own)
         if np.unique(own).size >= LEAST_VALUES:
-            least_cm = max(least_cm, step_of(own, ON_STEP_SHARE, steps[::-1]))
+            least_cm = max(least_cm, step_of(apart_cm[run == name], ON_STEP_SHARE, steps[::-1]))
     gap, weight = np.concatenate(gaps), np.concatenate(weights)
     if not gap.size:
         return model_step_cm
@@ -157,7 +206,7 @@ def compared_step(reading_cm: Array, run: Indices, model_step_cm: float, limits_
     up_to = np.cumsum(weight[order])
     gap_cm = float(gap[order][np.searchsorted(up_to, GAP_QUANTILE * up_to[-1])])
     for step_cm in steps:
-        full = _share_on(reading_cm, step_cm) >= ON_STEP_SHARE and _has_neighbours(gap, weight, step_cm)
+        full = _share_on(apart_cm, step_cm) >= ON_STEP_SHARE and _has_neighbours(gap, weight, step_cm)
         if step_cm >= least_cm and (full or step_cm >= GAPS_PER_STEP * gap_cm):
             return step_cm
     return steps[-1]
@@ -170,6 +219,16 @@ def _has_neighbours(gap: Array, weight: Array, step_cm: float) -> bool:
     return bool(times[1] > 0.0 and times[1] >= NEIGHBOURS_SHARE * times[2:MAX_GAP].max())
 
 
-def _share_on(reading_cm: Array, step_cm: float) -> float:
+def _most_frequent(reading_cm: Array) -> float:
+    values, counts = np.unique(np.round(reading_cm, 6), return_counts=True)
+    return float(values[counts.argmax()])
+
+
+def _is_on(reading_cm: Array, step_cm: float) -> Flags:
     steps = reading_cm / step_cm
-    return float((np.abs(steps - np.rint(steps)) < TOLERANCE).mean()) if steps.size else 1.0
+    found: Flags = np.abs(steps - np.rint(steps)) < TOLERANCE
+    return found
+
+
+def _share_on(reading_cm: Array, step_cm: float) -> float:
+    return float(_is_on(reading_cm, step_cm).mean()) if reading_cm.size else 1.0

@@ -26,7 +26,7 @@ _IDEAS = (
 
 
 def entries(rows: PictureData) -> Iterator[Entry]:
-    """Yield the pictures in the page's order; none for light and radio, whose ranges are not the air's."""
+    """Yield the pictures in the page's order; none where the air does not change the readings."""
     if rows.findings.calibration_temperature_c is not None:
         yield "uncompensated", "Range error without temperature compensation", partial(range_errors, rows, after=False)
         yield "compensated", "Range error with temperature compensation", partial(range_errors, rows, after=True)

@@ -46,8 +46,10 @@ def summarise(findings: Findings) -> str:
             f"{calibration.spread.value:.2g} cm; {form}."
         ]
     if base is not None:
+        silent = sum(point.no_answer for point in base.points)
+        pings = f" ({silent:,} pings have no answer, so they are in no kind of readings)" if silent else ""
         parts.append(
-            f"With nothing varied {100.0 * base.missed.value:.2g} % of the echoes are missed and "
+            f"With nothing varied {100.0 * base.missed.value:.2g} % of the echoes are missed{pings} and "
             f"{100.0 * base.outliers.value:.2g} % of the readings are of something else."
         )
     verdicts: dict[str, set[Verdict]] = {}
@@ -170,11 +172,8 @@ def _mixture(findings: Findings) -> Iterator[Row]:
     if found is None:
         return
     fitted: dict[str, IntervalEstimate] = {parameter.name: parameter.fitted for parameter in found.parameters}
-    shown = ", ".join(
-        f"{name.removeprefix('weights.')} {100.0 * each.value:.3g} %"
-        for name, each in fitted.items()
-        if name.startswith("weights.")
-    )
+    shown = f"of {found.readings:,} answers "
+    shown += ", ".join(f"{name} {100.0 * share:.3g} %" for name, share in found.shares.items())
     shown += f"; σ {interval(fitted['sigma_cm'])}" if "sigma_cm" in fitted else ""
     if found.pit_p_value is None:
         yield "Kinds of readings", VerdictMark("too few to test"), shown

@@ -94,6 +94,9 @@ def test_the_share_of_missed_echoes_grows_with_range(
 ) -> None:
     model = Expected(0.01, missed, 0.01, growth_per_m, 0.0, 1.0, 0.2, 40.0, DOWN, 0.0)
     assert model.missed_at(range_m) == pytest.approx(expected, abs=1e-3)
+    # Of a sensor that reaches less than 3 m the share is that at its longest range.
+    near = model._replace(maximum_m=1.0)
+    assert near.missed_at(range_m - 2.0) == pytest.approx(expected, abs=1e-3)
 
 
 def test_what_others_show_too_is_no_finding() -> None:
