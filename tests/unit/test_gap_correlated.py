@@ -133,7 +133,7 @@ def test_a_gain_counts_less_where_neighbours_still_follow_each_other(correlation
     problem = Problem.of(model(0.0), contexts, 1.01 * drawn_cm, numbered(contexts["run"]), rng)
     scale = next(each for each in problem.candidates if each.effect.name == "range_scale")
     larger = problem.refit([scale.at(scale.neutral)], problem.base.base)
-    whole = evidence_nats(problem.base, larger, problem.unit)
+    whole = evidence_nats(problem.at_correlation(problem.base, larger.base), larger, problem.unit)
     counted = problem.evidence_nats(problem.base, larger, by_run=True)
     left = problem.dependence(larger).lag_correlation
     assert (left > 0.1) == (correlation > 0.0)

@@ -152,10 +152,10 @@ class Problem:
             return evidence_nats(smaller, larger, None)
         left = self.dependence(larger)
         follow = left.lag_correlation if left.lag_z > rules.DEPENDENT_LAG_Z else 0.0
-        gained = evidence_nats(self._at_correlation(smaller, larger.base), larger, self.unit)
+        gained = evidence_nats(self.at_correlation(smaller, larger.base), larger, self.unit)
         return gained * (1.0 - follow) / (1.0 + follow)
 
-    def _at_correlation(self, fit: JointFit, base: Base) -> JointFit:
+    def at_correlation(self, fit: JointFit, base: Base) -> JointFit:
         """A fit at another base's correlation of neighbours, in which it would have offsets of runs as well.
 
         What explains some of the offsets would else gain what the correlation within runs is nearer to the truth.
