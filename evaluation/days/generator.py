@@ -2,13 +2,14 @@
 
 ``case("slow:scale", 7)`` is always the same case. A table of ``slow`` is a sensor over water: one reading every one to
 five minutes for 6 to 14 days, each a run. A table of ``words`` is 8 to 20 flights, each over a surface and with one of
-five batteries. All noise is normal: white, one Ornstein-Uhlenbeck process, and an offset of each run. The bench table
-is minutes long and still, so that it shows the white part alone. An effect has the size of ten standard errors by
-generalised least squares with that noise, next to an offset and a scale. No number here comes from another generator.
+five batteries; one of ``weather`` has five more columns that are the same all over a flight. All noise is normal:
+white, one Ornstein-Uhlenbeck process, and an offset of each run. The bench table is minutes long and still, so that it
+shows the white part alone. An effect has the size of ten standard errors by generalised least squares with that noise,
+next to an offset and a scale. No number here comes from another generator.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -102,6 +103,10 @@ def _grass(table: Table) -> Array:
     return np.asarray(table.columns["surface"] == "grass", dtype=float)
 
 
+def _session(table: Table) -> Array:
+    return np.asarray(table.run == table.run.max() // 2, dtype=float)
+
+
 def _battery(table: Table) -> Array:
     return np.asarray(table.columns["battery"], dtype=float) - 3.0
 
@@ -118,9 +123,9 @@ WORDS = (
     Hidden("battery", _battery, 8.0, variable="battery"),
     Hidden("scale", _scale, 6.0, frozenset({"range_scale", "thermometer_offset"})),
 )
-KINDS = (
-    *("slow:null", *(f"slow:{each.title}" for each in SLOW)),
-    *("words:null", *(f"words:{each.title}" for each in WORDS)),
+WEATHER = (
+    Hidden("session", _session, 12.0, frozenset({"session_offset"})),
+    Hidden("scale", _scale, 6.0, frozenset({"range_scale", "thermometer_offset"})),
 )
 
 
@@ -159,10 +164,10 @@ def drawn(kind: str, seed: int) -> tuple[Table, Hidden | None, float, Generator]
     if kind not in KINDS:
         raise ValueError(f"kind {kind!r}: expected one of {', '.join(KINDS)}")
     family, _, title = kind.partition(":")
-    rng = rng_of(kind, seed)
+    rng, (draw, effects) = rng_of(kind, seed), FAMILIES[family]
     while True:
-        table = _slow(rng) if family == "slow" else _flights(rng)
-        hidden = next((each for each in (SLOW if family == "slow" else WORDS) if each.title == title), None)
+        table = draw(rng)
+        hidden = next((each for each in effects if each.title == title), None)
         size = 0.0
         if hidden is not None:
             size = STANDARD_ERRORS * _standard_error(table, hidden.moves(table)) * (1.0 if rng.random() < 0.5 else -1.0)
@@ -265,6 +270,15 @@ def _flights(rng: Generator) -> Table:
     return _joined(columns, noise)
 
 
+def _weather(rng: Generator) -> Table:
+    """Flights that differ from each other by more, and in each of which the weather is another one."""
+    table = _flights(rng)
+    names = ("humidity_pct", "wind_m_s", "pressure_hpa", "sun_deg", "heading_deg")
+    of_flights = rng.uniform(20.0, 90.0, (len(names), int(table.run.max()) + 1)).round(1)
+    columns = table.columns | dict(zip(names, of_flights[:, table.run], strict=True))
+    return Table(columns, table.run, replace(table.noise, of_runs_cm=rng.uniform(0.0, 0.6)))
+
+
 def _joined(columns: list[Columns], noise: Noise) -> Table:
     run = np.repeat(np.arange(len(columns)), [each["time_s"].size for each in columns])
     joined = {name: np.concatenate([each[name] for each in columns]) for name in columns[0]}
@@ -281,3 +295,14 @@ def bench(rng: Generator, noise: Noise) -> Columns:
         "reading_cm": read(rng, true_cm + noise.white_cm * rng.standard_normal(true_cm.size)),
         "true_range_cm": true_cm,
     }
+
+
+FAMILIES: dict[str, tuple[Callable[[Generator], Table], tuple[Hidden, ...]]] = {
+    "slow": (_slow, SLOW),
+    "words": (_flights, WORDS),
+    "weather": (_weather, WEATHER),
+}
+"""How a table of each family is drawn, and what may be hidden in it."""
+KINDS = tuple(
+    f"{family}:{title}" for family, (_, effects) in FAMILIES.items() for title in ("null", *(e.title for e in effects))
+)

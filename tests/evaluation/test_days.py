@@ -18,6 +18,10 @@ MOVES: dict[str, Callable[[dict[str, Any]], Any]] = {
     "words:surface": lambda of: np.where(of["surface"] == "grass", 1.0, 0.0),
     "words:battery": lambda of: of["battery"] - 3.0,
     "words:scale": lambda of: of["true_range_cm"] / 100.0,
+    "weather:session": lambda of: np.where(
+        of["run"] == np.unique(of["run"])[(np.unique(of["run"]).size - 1) // 2], 1, 0
+    ),
+    "weather:scale": lambda of: of["true_range_cm"] / 100.0,
 }
 """By what a size of 1 moves each reading [cm]."""
 EFFECT = {"title": "battery", "names": [], "variable": "battery", "size": 1.0}

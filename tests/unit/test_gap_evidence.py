@@ -23,8 +23,9 @@ def fit(residual: np.ndarray) -> JointFit:
     variance = float((residual**2).mean())
     log_likelihood = -0.5 * residual.size * (np.log(variance) + 1.0)
     log_p = -0.5 * (np.log(variance) + residual**2 / variance)
-    here = SimpleNamespace(log_p=log_p, rows=SimpleNamespace(centre_cm=-residual))
-    made: Any = SimpleNamespace(log_likelihood=log_likelihood, offset_slope=residual / variance, here=here)
+    slope = residual / variance
+    here = SimpleNamespace(log_p=log_p, rows=SimpleNamespace(centre_cm=-residual), own_centre=slope)
+    made: Any = SimpleNamespace(log_likelihood=log_likelihood, offset_slope=slope, here=here)
     return cast(JointFit, made)
 
 

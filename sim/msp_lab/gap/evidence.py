@@ -78,8 +78,8 @@ def _log_p_beside_offsets(fit: JointFit, unit: Indices, offsets: Offsets) -> Arr
 def between_share(smaller: JointFit, larger: JointFit, unit: Indices) -> float:
     """Share of a gain that is made by moving whole runs: that of the hits' shift, as far as this is what gains."""
     shift_cm = larger.here.rows.centre_cm - smaller.here.rows.centre_cm
-    shift_cm -= shift_cm.mean()
-    slope = larger.offset_slope
+    # Of a hit as it is expected after the one before.
+    slope = larger.here.own_centre
     of_shift = float((slope * shift_cm + 0.5 * float((slope**2).mean()) * shift_cm**2).sum())
     plain = max(larger.log_likelihood - smaller.log_likelihood, 1e-9)
     return share_between(shift_cm, unit) * limited(of_shift / plain, 0.0, 1.0)
