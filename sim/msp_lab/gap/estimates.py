@@ -16,18 +16,19 @@ from msp_lab.gap.alternatives import AlternativeTerm, to_tell_apart
 from msp_lab.gap.candidates import CandidateEffect, Key, SelectedTerm
 from msp_lab.gap.findings import Alternative, CalibrationFinding, FittedValue, FoundEffect, UnknownEffect
 from msp_lab.gap.labels import size_label, unit_after, unit_of
-from msp_lab.gap.prepared import BASE, Prepared, knot_weights
+from msp_lab.gap.prepared import BASE, CHANNELS, Prepared, knot_weights, templates
 from msp_lab.gap.problem import Problem
-from msp_lab.gap.refit import JointFit
+from msp_lab.gap.refit import JointFit, free_numbers, with_values
 from msp_lab.gap.screen import Screen
 from msp_lab.gap.validation import Gain, Validated
 from msp_range.arrays import Array, Indices
+from msp_range.reading_model.rows import Base
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import TRUE_RANGE, Effect
 from msp_sim.effects.curve import Ripple, hats
 from msp_sim.effects.plain import MOST_TIMES
 from msp_sim.effects.range_scale import RANGE_SCALE
-from msp_sim.model.model import Term
+from msp_sim.model.model import Term, applies, shifted
 
 NUMBERS = (
     "offset_cm",
@@ -66,16 +67,48 @@ class FinalFit:
 
     @classmethod
     def of(cls, readings: Prepared, fit: JointFit, unit: Indices, by_run: bool) -> "FinalFit":
-        """With errors by whole runs, of which there are few, or by readings."""
+        """With errors by whole runs, of which there are few, or by readings, and constants as in `with_constants`."""
         covariance = fit.covariance(unit if by_run else None)
         runs = np.unique(unit).size
         width = -float(stdtrit(max(runs - 1, 1), 0.025)) if by_run else 1.959964
-        return cls(readings, fit, covariance * width**2, width)
+        fit, change = with_constants(readings, fit)
+        return cls(readings, fit, change @ covariance @ change.T * width**2, width)
 
     @property
     def half_widths(self) -> Array:
         """Half of the interval of each number; 0 for one that is held at a bound, whose error is not known."""
         return np.asarray(np.sqrt(np.maximum(np.diag(self.widened), 0.0)))
+
+
+def with_constants(readings: Prepared, fit: JointFit) -> tuple[JointFit, Array]:
+    """The same distributions with what curves are on average in the base's own numbers, and the change of the numbers.
+
+    A fit leaves open how much of a constant is a curve's: here its values have mean 0 over the readings, as its formula
+    is written. Where its column is not known or is another word a curve is 0, so that its constant stays. For m numbers
+    the change is an (m, m) matrix.
+    """
+    change, scene = np.eye(fit.values.size), shifted(readings.scene, fit.effects)
+    place = len(BASE)
+    for term in fit.effects:
+        own = slice(place, place + len(term.values))
+        place = own.stop
+        if term.shape is None:
+            continue
+        channel = CHANNELS.index(term.shape[0])
+        higher = term.having({name: value + 1.0 for name, value in term.values.items()})
+        own_added, more_added = (
+            templates(applies(scene, each), each.change(scene))[channel] for each in (term, higher)
+        )
+        moved = more_added - own_added
+        if np.ptp(moved) > 1e-6:
+            continue
+        weights = knot_weights(scene, term.shape).mean(axis=0)
+        change[own, own] -= weights
+        # Against the other sensors a constant of the bias moves nothing.
+        change[channel, own] = weights * np.round(moved[0])
+    values = change @ fit.values
+    effects = with_values(fit.effects, free_numbers(fit.effects), values[len(BASE) :])
+    return replace(fit, base=Base(*values[: len(BASE)].tolist()), effects=effects, values=values), change
 
 
 def found_terms(
@@ -228,13 +261,11 @@ def _values(active: Term, half_widths: Array) -> dict[str, FittedValue]:
 
 
 def _unknown_effect(active: Term, widened: Array, gained: Gain, readings: Prepared) -> UnknownEffect:
-    """A curve about its mean, which it shares with the base; `widened` is its covariance times the width squared."""
+    """A curve; `widened` is its covariance times the width squared."""
     assert active.shape is not None
     channel, variables, knots = active.shape
-    weights = knot_weights(readings.scene, active.shape).mean(axis=0)
-    about_mean = np.eye(weights.size) - weights / max(weights.sum(), 1e-12)
-    values = about_mean @ np.array(list(active.values.values()))
-    half = np.sqrt(np.maximum(np.diag(about_mean @ widened @ about_mean.T), 0.0))
+    values = np.array(list(active.values.values()))
+    half = np.sqrt(np.maximum(np.diag(widened), 0.0))
     at, period, (first, *_) = np.zeros(0), None, knots
     if len(variables) > 1:
         text = (
@@ -242,7 +273,6 @@ def _unknown_effect(active: Term, widened: Array, gained: Gain, readings: Prepar
         )
     elif isinstance(first, Ripple):
         period = first.period
-        values = np.array(list(active.values.values()))
         # That of the readings: of a period of two readings they say the phase badly, and so the height between them.
         most_cm = float(np.abs(knot_weights(readings.scene, active.shape) @ values).max())
         text = f"ripple of {period:.3g} {unit_of(variables[0])} over {variables[0]}, amplitude {most_cm:.2g} cm"

@@ -12,7 +12,7 @@ import numpy as np
 
 from msp_lab.gap import rules
 from msp_lab.gap.curves import instead_of_offsets
-from msp_lab.gap.estimates import FinalFit, calibrated, detectable, found_terms
+from msp_lab.gap.estimates import FinalFit, calibrated, detectable, found_terms, with_constants
 from msp_lab.gap.extended_model import extended
 from msp_lab.gap.findings import CalibrationFinding, FoundEffect, GapFindings, NotTestable, UnknownEffect
 from msp_lab.gap.intake import Comparison, KnownRows
@@ -221,6 +221,7 @@ def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllRe
         unit = splits.unit[rows]
         fit = refit(readings, fit.effects, fit.base)
     final = FinalFit.of(readings, fit, unit, by_run)
+    fit, (of_training, _) = final.fit, with_constants(training, of_training)
     effects, unknown, calibration = found_terms(problem, selection.base.fit, kept, selection.alternatives, final)
     path = _path(problem, selection, kept.state)
     calibration = [*calibrated(problem, final, of_training), *calibration]
