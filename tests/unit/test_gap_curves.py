@@ -204,6 +204,15 @@ def test_a_formula_is_the_shortest_that_goes_through(curve: object, text: str) -
     assert re.fullmatch(text, formula("throttle", at, values, np.full(12, 0.02)))
 
 
+def test_a_formula_has_the_size_of_its_curve() -> None:
+    """Values that are not well known are no reason to write a third of them."""
+    at, error = np.array([60.0, 87.0, 112.0, 138.0, 161.0, 190.0, 220.0, 260.0]), np.full(8, 4.0)
+    text = formula("height_cm", at, np.array([4.0, -3.0, 3.0, 3.0, -4.0, -4.0, 1.0, 4.0]), error)
+    assert text == "60: 4, 87: -3, 112: 3, 138: 3, 161: -4, 190: -4, 220: 1, 260: 4"
+    text = formula("height_cm", at, np.array([-4.1, -4.0, -3.5, -4.0, 4.1, 3.9, 4.0, 4.0]), error)
+    assert text == "-3.9 + 7.9 [height_cm > 150]"
+
+
 def test_noise_makes_a_formula_no_longer() -> None:
     at, rng = np.linspace(0.0, 1.0, 12), np.random.default_rng(4)
     lines = [formula("throttle", at, 3.0 * at + 0.1 * rng.standard_normal(12), np.full(12, 0.1)) for _ in range(40)]

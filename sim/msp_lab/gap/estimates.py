@@ -4,9 +4,10 @@ They are those of the validated terms in the fit of all runs.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
+from typing import Any
 
 import numpy as np
 from scipy.special import stdtrit
@@ -49,6 +50,10 @@ STEP_SHARE = 0.01
 AT_BOUND = 1e-3
 """A number within this share of its parameter's range of a bound is at it. Fits end there to 1e-6; larger: numbers that
 are near a bound are only suggested."""
+FORMULA_SHARE = 0.25
+"""A formula may be off at a knot by this share of the curve's size; where all are off by more, the values are listed.
+Half of what a line misses at the middle of a step. Larger: formulas with another size than the sentence; smaller: lists
+of values in place of formulas that round off their noise."""
 RIPPLE_DRAWN, RIPPLE_POINTS = 3, 61
 """Periods of a ripple that are drawn, and points of its curve: it goes on like that."""
 
@@ -282,7 +287,7 @@ def _unknown_effect(active: Term, widened: Array, gained: Gain, readings: Prepar
         waves = hats({variables[0]: at}, variables, knots)
         values, half = waves @ values, np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", waves, widened, waves), 0.0))
     elif isinstance(first[0], str):
-        text = ", ".join(f"{knot}: {value:.3g}" for knot, value in zip(first, values, strict=True))
+        text = _listed(first, values)
     else:
         at = np.array(first, dtype=float)
         place = readings.scene[variables[0]]
@@ -341,8 +346,12 @@ def detectable(problem: Problem, first: Screen) -> str:
     return "; ".join(f"{effect} above {size_label(name, *size)}" for (effect, name), size in least.items())
 
 
+def _listed(knots: Sequence[Any], values: Array) -> str:
+    return ", ".join(f"{knot}: {value:.3g}" for knot, value in zip(knots, values, strict=True))
+
+
 def formula(variable: str, at: Array, values: Array, deviation: Array) -> str:
-    """The shortest form of a small grammar that goes through a curve, with its numbers.
+    """The shortest form of a small grammar that goes through a curve, with its numbers; its values where none does.
 
     Parameters
     ----------
@@ -353,16 +362,16 @@ def formula(variable: str, at: Array, values: Array, deviation: Array) -> str:
     """
     weight = 1.0 / np.maximum(deviation, 1e-9 + 1e-3 * np.abs(values).max(initial=0.0)) ** 2
     span = float(at[-1] - at[0]) or 1.0
-    best: tuple[float, str] | None = None
+    best = np.inf, _listed([f"{knot:.4g}" for knot in at], values)
     for text, columns, shapes in _grammar(variable, at, span):
         design = np.column_stack([np.ones(at.size), *columns])
         root = np.sqrt(weight)
         solution = np.linalg.lstsq(design * root[:, None], values * root, rcond=None)[0]
-        misfit = float((weight * (values - design @ solution) ** 2).sum())
-        cost = misfit + 2.0 * (design.shape[1] + shapes)
-        if best is None or cost < best[0] - 1e-9:
-            best = (cost, text.format(*(f"{number:.3g}" for number in solution)))
-    return best[1].replace("+ -", "- ") if best else ""
+        off = values - design @ solution
+        cost = float((weight * off**2).sum()) + 2.0 * (design.shape[1] + shapes)
+        if cost < best[0] - 1e-9 and np.abs(off).max() <= FORMULA_SHARE * np.ptp(values):
+            best = cost, text.format(*(f"{number:.3g}" for number in solution))
+    return best[1].replace("+ -", "- ")
 
 
 def _grammar(variable: str, at: Array, span: float) -> Iterator[tuple[str, list[Array], int]]:
