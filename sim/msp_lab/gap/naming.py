@@ -14,12 +14,19 @@ from msp_lab.gap import rules
 from msp_lab.gap.curves import instead_of_offsets
 from msp_lab.gap.estimates import FinalFit, calibrated, detectable, found_terms, with_constants
 from msp_lab.gap.extended_model import extended
-from msp_lab.gap.findings import CalibrationFinding, FoundEffect, GapFindings, NotTestable, UnknownEffect
+from msp_lab.gap.findings import (
+    CalibrationFinding,
+    FoundEffect,
+    GapFindings,
+    NotTestable,
+    RunScatter,
+    UnknownEffect,
+)
 from msp_lab.gap.intake import Comparison, KnownRows
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Problem, Progress, State, forward_only
 from msp_lab.gap.refit import refit
-from msp_lab.gap.run_offsets import validated_run_offsets, with_run_offsets
+from msp_lab.gap.run_offsets import run_scatter, validated_run_offsets, with_run_offsets
 from msp_lab.gap.runs import Splits, previous, sample, taken
 from msp_lab.gap.search import Selection, select, select_more, settled
 from msp_lab.gap.validation import Validated, validated
@@ -69,6 +76,8 @@ class NamedModel:
     """The smallest effects that would have been found, in words."""
     dropped: tuple[tuple[str, str], ...]
     """Terms on which the splits do not agree, and why."""
+    run_scatter: RunScatter | None
+    """How far runs differ, or readings wander, next to what was found."""
     messages: tuple[str, ...]
     """What a reader has to know."""
 
@@ -92,6 +101,7 @@ def name(comparison: Comparison, findings: GapFindings, report: Progress) -> tup
         calibration=(*findings.calibration, *named.calibration),
         not_testable=named.not_testable,
         detectable=named.detectable,
+        run_scatter=named.run_scatter,
         p_value=named.p_value,
         messages=(
             *findings.messages,
@@ -247,6 +257,7 @@ def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllRe
         selection.first.p_value,
         detectable(problem, selection.first),
         tuple((lost.term.label, lost.why) for lost in kept.dropped),
+        run_scatter(problem, kept.state.fit, splits.of_blocks),
         tuple(_messages(problem, selection, by_run, whole.reading_cm.size)),
     )
 
