@@ -218,6 +218,20 @@ def test_correlated_noise_is_a_number_of_the_base_and_no_effect() -> None:
     assert found.models.final_fit.sensor.reading_model.correlation == pytest.approx(correlation.after)
 
 
+def test_a_note_on_dependence_has_the_correlation_that_counts() -> None:
+    """Noise that lasts for some readings is refitted; next to offsets of runs it has taken more than its share."""
+    contexts, rng = flown(8), np.random.default_rng(8)
+    off_cm = np.zeros(RUNS * ROWS)
+    for i in range(1, off_cm.size):
+        off_cm[i] = (0.7 * off_cm[i - 1] if i % ROWS else 0.0) + 1.5 * rng.standard_normal()
+    off_cm += np.repeat(2.0 * rng.standard_normal(RUNS), ROWS)
+    (note,) = [each for each in explained(contexts, read(contexts, 8, bias_cm=off_cm)).messages if "unit of" in each]
+    found = re.search(r"of neighbours (0\.\d\d) in the refitted noise and (-?0\.\d\d) beyond it", note)
+    assert found is not None, note
+    assert float(found[1]) > 0.4
+    assert float(found[2]) < 0.1
+
+
 def test_offsets_between_runs_are_named() -> None:
     contexts = flown(9)
     offset_cm = 1.5 * np.random.default_rng(9).standard_normal(RUNS)

@@ -183,7 +183,7 @@ def name_effects(
     report("validating on splits of the runs", 0.85)
     selection, kept = _validated(problem, selection, splits, max_terms)
     report("fitting all runs", 0.92)
-    return _named(problem, selection, kept, AllReadings(contexts, reading_cm, splits))
+    return _named(problem, selection, kept, AllReadings(contexts, reading_cm, splits), max_terms)
 
 
 def _validated(problem: Problem, selection: Selection, splits: Splits, max_terms: int) -> tuple[Selection, Validated]:
@@ -213,7 +213,7 @@ def _validated(problem: Problem, selection: Selection, splits: Splits, max_terms
     return selection, replace(again, state=refitted(again.state), dropped=dropped)
 
 
-def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllReadings) -> NamedModel:
+def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllReadings, max_terms: int) -> NamedModel:
     model, by_run, splits = problem.model, kept.state.by_run, whole.splits
     fit = kept.state.fit
     held_out, _ = whole.sampled(problem, np.flatnonzero(splits.held_out), rules.FINAL_ROWS)
@@ -258,7 +258,7 @@ def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllRe
         detectable(problem, selection.first),
         tuple((lost.term.label, lost.why) for lost in kept.dropped),
         run_scatter(problem, kept.state.fit, splits.of_blocks),
-        tuple(_messages(problem, selection, by_run, whole.reading_cm.size)),
+        tuple(_messages(problem, selection, kept.state, whole.reading_cm.size, max_terms)),
     )
 
 
@@ -279,18 +279,25 @@ def _path(problem: Problem, selection: Selection, state: State) -> tuple[ModelSt
     return tuple(steps)
 
 
-def _messages(problem: Problem, selection: Selection, by_run: bool, size: int) -> Iterator[str]:
+def _messages(problem: Problem, selection: Selection, kept: State, size: int, max_terms: int) -> Iterator[str]:
     if len(problem.readings) < size:
         yield (
             f"Effects were searched in {len(problem.readings):,} of {size:,} readings, stretches of neighbours from "
             f"all parts of all runs, and their values fitted to {min(size, rules.FINAL_ROWS):,}."
         )
     if selection.is_full:
-        yield "As many effects were found as may be added; more may be missing (--max-effects)."
-    if by_run:
-        measured = problem.dependence(selection.base.fit)
+        held = f", of which {len(kept.terms)} held" * (len(kept.terms) < max_terms)
         yield (
-            f"Readings of a run depend on each other (correlation of neighbours {measured.lag_correlation:.2f}; for a "
-            f"constant they count as {measured.effective_readings:.0f} independent ones): the unit of evidence is the "
-            "run."
+            f"The search ended with as many effects and curves as may be added, {max_terms}{held}; more may be missing "
+            f"(--max-effects {2 * max_terms})."
+        )
+    if kept.by_run:
+        base = selection.base.fit
+        measured, of_noise = problem.dependence(base), base.base.correlation
+        noise = f"{of_noise:.2f} in the refitted noise and " * (of_noise != 0.0)
+        beyond = " beyond it" * (of_noise != 0.0)
+        yield (
+            f"Readings of a run depend on each other (correlation of neighbours {noise}{measured.lag_correlation:.2f}"
+            f"{beyond}; for a constant they count as {measured.effective_readings:.0f} independent ones): the unit of "
+            "evidence is the run."
         )

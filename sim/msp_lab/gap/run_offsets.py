@@ -59,15 +59,16 @@ def run_scatter(problem: Problem, fit: JointFit, of_blocks: bool) -> RunScatter 
     Offsets between runs are named if splits of the runs agree on them: this is what is known where they do not.
     Where blocks stand in for runs, what they differ by is a wander.
     """
-    inside_runs = wanders(fit, problem.unit)
-    if not inside_runs and problem.dependence(fit).p_between > rules.DEPENDENT_P:
+    wander = wanders(fit, problem.unit)
+    if not wander and problem.dependence(fit).p_between > rules.DEPENDENT_P:
         return None
+    inside_runs = wander and p_beyond_wander(fit.offset_slope, problem.unit) > rules.WANDER_P
     unit = blocks_of(problem.unit) if inside_runs else problem.unit
     slope = fit.offset_slope - fit.offset_slope.mean()
-    sums, information = np.bincount(unit, slope), np.bincount(unit, slope**2)
-    known = information > 0.0
-    squares = (sums[known] / information[known]) ** 2 - 1.0 / information[known]
-    return RunScatter(float(np.sqrt(max(squares.mean(), 0.0))), inside_runs or of_blocks)
+    # Of a unit with information I and variance d of its offset, a sum of slopes has the variance I + I^2 d.
+    sums, information = np.bincount(unit, slope), np.bincount(unit) * float(np.mean(slope**2))
+    variance = float((sums**2 - information).sum() / (information**2).sum())
+    return RunScatter(float(np.sqrt(max(variance, 0.0))), inside_runs or of_blocks)
 
 
 def p_beyond_wander(slope: Array, unit: Indices) -> float:
