@@ -288,8 +288,8 @@ def _messages(problem: Problem, selection: Selection, kept: State, size: int, ma
     if selection.is_full:
         held = f", of which {len(kept.terms)} held" * (len(kept.terms) < max_terms)
         yield (
-            f"The search ended with as many effects, curves and numbers of the base as may be added, {max_terms}{held}; "
-            f"more may be missing (--max-effects {2 * max_terms})."
+            f"The search ended with as many effects, curves and numbers of the base as may be added, {max_terms}{held}"
+            f"; more may be missing (--max-effects {2 * max_terms})."
         )
     if kept.by_run:
         base = selection.base.fit
