@@ -360,7 +360,9 @@ def formula(variable: str, at: Array, values: Array, deviation: Array) -> str:
     at, values, deviation
         Knots, values there and their standard errors, (k,).
     """
-    weight = 1.0 / np.maximum(deviation, 1e-9 + 1e-3 * np.abs(values).max(initial=0.0)) ** 2
+    largest = float(np.abs(values).max(initial=0.0))
+    weight = 1.0 / np.maximum(deviation, 1e-9 + 1e-3 * largest) ** 2
+    most_off = max(FORMULA_SHARE * float(np.ptp(values)), 1e-9 * largest)
     span = float(at[-1] - at[0]) or 1.0
     best = np.inf, _listed([f"{knot:.4g}" for knot in at], values)
     for text, columns, shapes in _grammar(variable, at, span):
@@ -369,7 +371,7 @@ def formula(variable: str, at: Array, values: Array, deviation: Array) -> str:
         solution = np.linalg.lstsq(design * root[:, None], values * root, rcond=None)[0]
         off = values - design @ solution
         cost = float((weight * off**2).sum()) + 2.0 * (design.shape[1] + shapes)
-        if cost < best[0] - 1e-9 and np.abs(off).max() <= FORMULA_SHARE * np.ptp(values):
+        if cost < best[0] - 1e-9 and np.abs(off).max() <= most_off:
             best = cost, text.format(*(f"{number:.3g}" for number in solution))
     return best[1].replace("+ -", "- ")
 
