@@ -52,8 +52,6 @@ FIELDS = {
 OF_RUNS = 0.5
 """What runs differ by is what is left if it is this share of the bias that is left. Two halves of the runs differ by so
 much by random variation. Higher: disagreements of runs are said to be unexplained; lower: other ones to be of runs."""
-_UNEXPLAINED = ", and no effect of the catalogue explains it"
-_NO_SMALLER = "; but the disagreement does not become smaller by that"
 CHANNELS = {
     "bias": "the error",
     "spread": "the scatter",
@@ -166,10 +164,10 @@ def _decision(findings: GapFindings) -> str:
             text = "These readings are too few to decide whether something is missing"
         case "absorbed":
             text = _absorbed(findings)
+        case _ if left := _left(findings):
+            text = f"Readings and model disagree: {left}, and nothing that is recorded says why"
         case _:
-            left = _left(findings)
-            what = f": {left}, and nothing that is recorded says why" if left else _UNEXPLAINED
-            text = f"Readings and model disagree{what}"
+            text = "Readings and model disagree, and no effect of the catalogue explains it"
     return text + suggested
 
 
@@ -187,7 +185,12 @@ def _share_of_gap(findings: GapFindings) -> str:
     before, after, left = findings.nats.before or 1.0, findings.nats.after or 0.0, _left(findings)
     percent = 100.0 * (1.0 - after / before)
     if percent < 1.0:
-        return f"; most of the disagreement is that {left}" if left else _NO_SMALLER
+        what = (
+            f"most of the disagreement is that {left}"
+            if left
+            else "but the disagreement does not become smaller by that"
+        )
+        return f"; {what}"
     only = "only " * (findings.verdict == "unexplained")
     # The base's numbers were refitted with what was found, and a part of it is theirs.
     refitted = "with the refitted numbers " * bool(findings.refitted)
