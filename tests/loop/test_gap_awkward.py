@@ -111,7 +111,8 @@ def test_one_true_range_and_nothing_else_is_compared(tmp_path: Path) -> None:
 def test_a_limit_on_the_number_of_effects_that_is_reached_is_reported(tmp_path: Path) -> None:
     columns = readings(1500, 3, bias=lambda c: 4.0 * np.sin(c["true_range_cm"] / 40.0))
     named = found(tmp_path, columns, "--max-effects", "1")
-    assert reports(named, "more may be missing (--max-effects)")
+    assert reports(named, "as many effects, curves and numbers of the base as may be added, 1")
+    assert reports(named, "more may be missing (--max-effects 2)")
     (tmp_path / "flights.csv").unlink()
     named = found(tmp_path, columns, "--max-effects", "0")
     assert (named.effects, named.unknown) == ((), ())

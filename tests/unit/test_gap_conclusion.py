@@ -25,6 +25,7 @@ from msp_lab.gap.findings import (
     OddsMeasures,
     PathStep,
     ReadingAge,
+    RunScatter,
     Slice,
     UnknownEffect,
     Verdict,
@@ -189,25 +190,100 @@ def test_one_run_is_no_other_run() -> None:
 
 
 def test_what_is_likely_is_to_be_recorded_and_not_what_is_absent() -> None:
-    """The scatter is off: vibration changes it, and neither a hot target nor the warm-up does."""
+    """The scatter is off, in one run more: vibration changes it, and neither a hot target nor the warm-up does."""
     absent = (
         NotTestable("hot_box", ("target_temperature_c",)),
         NotTestable("warm_up", ("uptime_s",)),
         NotTestable("vibration", ("vibration_hz",)),
     )
     scattered = replace(gap(0.5, 0.5, 0.01), spread_ratio=Measure(1.6, 1.6, 1.1))
-    said = with_words(GapFindings("unexplained", 2000, 12, scattered, not_testable=absent))
-    assert said.next_step == "record vibration_hz: vibration would need it, and may be what is left"
-    said = with_words(GapFindings("unexplained", 2000, 12, scattered, not_testable=absent[:2]))
-    assert said.next_step == "look at the slices that are still off in report.html"
+    shaken = replace(SLICE, where="run 7", variables=("run",), after={"log_spread": 0.9})
+    for slices, columns, step in (
+        ((shaken,), absent, "record vibration_hz: vibration would need it, and may be what is left"),
+        ((shaken,), absent[:2], "look at the slices that are still off in report.html"),
+        ((replace(shaken, after={"log_spread": 0.2}),), absent, "look at the slices that are still off in report.html"),
+    ):
+        said = with_words(GapFindings("unexplained", 2000, 12, scattered, slices=slices, not_testable=columns))
+        assert said.next_step == step
+
+
+def test_a_number_that_is_off_alike_everywhere_is_the_model_s_own() -> None:
+    """A refit of few readings has not come so far; a column that nobody recorded makes no scatter smaller."""
+    less = replace(gap(0.7, 0.2, 0.01), spread_ratio=Measure(7.1, 3.1, 1.1))
+    whole = replace(SLICE, where="all readings", variables=(), after={"log_spread": -0.95})
+    parts = [replace(SLICE, where=f"run {k}", variables=("run",), after={"log_spread": -0.9}) for k in range(3)]
+    tilted = NotTestable("spread_with_incidence", ("incidence_deg",))
+    said = with_words(GapFindings("unexplained", 200, 12, less, slices=(whole, *parts), not_testable=(tilted,)))
+    assert said.next_step == (
+        "make the model's own numbers of more such readings (msp-lab characterise): scatter (sigma) is off everywhere"
+    )
+
+
+APART = replace(gap(0.05, 0.05, 0.01), bias_cm=Measure(0.3, 0.3, 0.1))
+
+
+@pytest.mark.parametrize(
+    ("scatter", "effects", "sentence", "step"),
+    [
+        (
+            RunScatter(0.2, False),
+            (),
+            "disagree: runs differ from each other by 0.2 cm, and nothing that is recorded says why.",
+            "look at what was different in may (+0.6 cm) and june (-0.5 cm)",
+        ),
+        (
+            RunScatter(0.2, True),
+            (),
+            "disagree: readings wander by 0.2 cm in the course of a run, and nothing that is recorded says why.",
+            "log a fixed target for as long as a run: it shows whether readings wander by themselves",
+        ),
+        (
+            RunScatter(0.2, False),
+            (scale(),),
+            "; most of the disagreement is that runs differ from each other by 0.2 cm.",
+            "look at what was different in",
+        ),
+        (
+            RunScatter(0.2, False),
+            (scale(), replace(scale(), name="run_offsets")),
+            "; most of the disagreement is that the runs on which it is measured differ by more, 0.3 cm.",
+            "look at what was different in",
+        ),
+        (
+            RunScatter(0.1, False),
+            (),
+            "Readings and model disagree, and no effect of the catalogue explains it.",
+            "record air_temperature_c",
+        ),
+    ],
+    ids=["runs", "a wander", "next to an effect", "offsets named", "too little"],
+)
+def test_that_runs_differ_is_said_where_it_is_what_is_left(
+    scatter: RunScatter, effects: tuple[FoundEffect, ...], sentence: str, step: str
+) -> None:
+    off = {"run may": 0.6, "run june": -0.5, "run july": 0.2, "true_range_cm 40 to 50": 0.4}
+    slices = tuple(
+        replace(SLICE, where=where, variables=(where.split()[0],), after={"bias_cm": cm}) for where, cm in off.items()
+    )
+    warm = NotTestable("air_temperature", ("air_temperature_c",))
+    said = with_words(
+        GapFindings("unexplained", 2000, 12, APART, effects, slices=slices, not_testable=(warm,), run_scatter=scatter)
+    )
+    assert said.sentence.endswith(sentence)
+    assert said.next_step.startswith(step)
 
 
 def test_a_column_is_likely_only_if_readings_differ_over_what_else_its_effects_need() -> None:
     hot = NotTestable("hot_box", ("target_temperature_c",))
     biased = replace(gap(0.5, 0.5, 0.01), bias_cm=Measure(1.0, 1.0, 0.1))
-    warm = replace(SLICE, variables=("air_temperature_c",))
-    for piece, step in ((SLICE, "look at"), (warm, "record target"), (replace(warm, p_value=0.4), "look at")):
-        said = with_words(GapFindings("unexplained", 2000, 12, biased, slices=(piece,), not_testable=(hot,)))
+    far = replace(SLICE, variables=("true_range_cm",), after={"bias_cm": 1.0})
+    warm = replace(far, variables=("air_temperature_c",))
+    for piece, step in (
+        (SLICE, "look at"),
+        (warm, "record target"),
+        (replace(warm, after={"bias_cm": 0.2}), "look at"),
+    ):
+        said = with_words(GapFindings("unexplained", 2000, 12, biased, slices=(far, piece), not_testable=(hot,)))
         assert said.next_step.startswith(step)
 
 

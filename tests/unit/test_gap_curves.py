@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from msp_lab.gap.curve_test import Asked, CandidateCurve, asked_of, log_p_of_sums, scan, step_of
 from msp_lab.gap.curves import far_curves
-from msp_lab.gap.estimates import formula
+from msp_lab.gap.estimates import FinalFit, formula, with_constants
 from msp_lab.gap.findings import FoundEffect
 from msp_lab.gap.naming import AllReadings, name_effects
 from msp_lab.gap.prepared import CHANNELS, Prepared
@@ -221,6 +221,15 @@ def test_a_formula_is_the_shortest_that_goes_through(curve: object, text: str) -
     assert re.fullmatch(text, formula("throttle", at, values, np.full(12, 0.02)))
 
 
+def test_a_formula_has_the_size_of_its_curve() -> None:
+    """Values that are not well known are no reason to write a third of them."""
+    at, error = np.array([60.0, 87.0, 112.0, 138.0, 161.0, 190.0, 220.0, 260.0]), np.full(8, 4.0)
+    text = formula("height_cm", at, np.array([4.0, -3.0, 3.0, 3.0, -4.0, -4.0, 1.0, 4.0]), error)
+    assert text == "60: 4, 87: -3, 112: 3, 138: 3, 161: -4, 190: -4, 220: 1, 260: 4"
+    text = formula("height_cm", at, np.array([-4.1, -4.0, -3.5, -4.0, 4.1, 3.9, 4.0, 4.0]), error)
+    assert text == "-3.9 + 7.9 [height_cm > 150]"
+
+
 def test_noise_makes_a_formula_no_longer() -> None:
     at, rng = np.linspace(0.0, 1.0, 12), np.random.default_rng(4)
     lines = [formula("throttle", at, 3.0 * at + 0.1 * rng.standard_normal(12), np.full(12, 0.1)) for _ in range(40)]
@@ -304,6 +313,43 @@ def test_a_step_is_found_where_it_is_and_written_as_one() -> None:
     assert place == pytest.approx(0.6, abs=0.05)
     # It is drawn over the whole column, not between its two knots alone.
     assert found.curve[-1][0] - found.curve[0][0] > 0.6
+
+
+def test_a_constant_is_one_number_and_curves_have_a_mean_of_0() -> None:
+    """Every way of splitting 5 cm between offset and two curves predicts the same; what is printed has to add up."""
+    contexts = flown(23)
+    own_cm = np.where(contexts["target"] == "grass", 0.6, -0.2) + 0.8 * number(contexts, "throttle")
+    readings = Prepared.of(MODEL, contexts, read(contexts, 23, 4.5 + own_cm))
+    shapes = [
+        ("bias", "target", ["asphalt", "grass"], [3.0, 3.8]),
+        ("bias", "throttle", [0.2, 0.9], [1.0, 1.5]),
+        ("spread", "throttle", [0.2, 0.9], [0.3, 0.3]),
+    ]
+    fit = refit(readings, [make_curve_term(channel, [name], [at], start) for channel, name, at, start in shapes])
+    placed, change = with_constants(readings, fit)
+    np.testing.assert_allclose(
+        readings.log_prob(placed.base, placed.effects), readings.log_prob(fit.base, fit.effects), atol=1e-9
+    )
+    np.testing.assert_allclose(placed.values, change @ fit.values)
+    for term in placed.effects:
+        assert term.shape is not None
+        weights = hats(contexts, *term.shape[1:])
+        assert float((weights @ [*term.values.values()]).mean()) == pytest.approx(0.0, abs=1e-9)
+    # What is known of the sum of offset and curves alone is known of the offset.
+    final = FinalFit.of(readings, fit, np.zeros(N, dtype=np.intp), by_run=False)
+    assert final.fit.base.offset_cm == pytest.approx(4.5 + own_cm.mean(), abs=final.half_widths[0] + 0.05)
+    assert final.half_widths[0] == pytest.approx(1.96 * SIGMA_CM / np.sqrt(N), rel=0.2)
+
+
+def test_a_constant_that_not_all_readings_have_stays_in_the_curve() -> None:
+    """On water the curve is 0, so that the offset is that of water."""
+    contexts = flown(24)
+    contexts["target"] = np.random.default_rng(24).choice(["grass", "asphalt", "water"], N)
+    readings = Prepared.of(MODEL, contexts, read(contexts, 24, 0.0 + 2.0 * (contexts["target"] != "water")))
+    fit = refit(readings, [make_curve_term("bias", ["target"], [["asphalt", "grass"]], [0.0, 0.0])])
+    placed, change = with_constants(readings, fit)
+    assert placed.base == fit.base
+    assert np.array_equal(change, np.eye(fit.values.size))
 
 
 def test_a_value_for_each_of_eight_places_is_no_curve() -> None:

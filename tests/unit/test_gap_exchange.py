@@ -236,6 +236,8 @@ def test_a_search_that_had_no_room_goes_on_without_what_did_not_hold() -> None:
     problem = problem_of((200.0, 240.0), 25.0)
     full = select(problem, 1)
     assert (full.is_full, names_of(full)) == (True, ["latency"])
+    (note,) = naming._messages(problem, full, full.base, len(problem.readings), 1)
+    assert "as may be added, 1, of which 0 held; more may be missing (--max-effects 2)" in note
     more = select_more(problem, replace(full, state=full.base), {("latency", None)}, 2)
     (name,) = names_of(more)
     assert name != "latency"

@@ -1,6 +1,7 @@
 """The gap workflow's statistics on readings from a plain sampler that shares no code with the model."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,9 @@ from msp_lab.gap.estimates import formula
 from msp_lab.gap.extended_model import to_sensor
 from msp_lab.gap.naming import AllReadings, NamedModel, name_effects
 from msp_lab.gap.prepared import BASE, Prepared
+from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import refit
+from msp_lab.gap.run_offsets import run_scatter
 from msp_lab.gap.runs import draw_splits
 from msp_lab.gap.screen import score_matrix
 from msp_lab.gap.validation import gain_of_runs
@@ -215,11 +218,43 @@ def test_correlated_noise_is_a_number_of_the_base_and_no_effect() -> None:
     assert found.models.final_fit.sensor.reading_model.correlation == pytest.approx(correlation.after)
 
 
+def test_a_note_on_dependence_has_the_correlation_that_counts() -> None:
+    """Noise that lasts for some readings is refitted; next to offsets of runs it has taken more than its share."""
+    contexts, rng = flown(8), np.random.default_rng(8)
+    off_cm = np.zeros(RUNS * ROWS)
+    for i in range(1, off_cm.size):
+        off_cm[i] = (0.7 * off_cm[i - 1] if i % ROWS else 0.0) + 1.5 * rng.standard_normal()
+    off_cm += np.repeat(2.0 * rng.standard_normal(RUNS), ROWS)
+    (note,) = [each for each in explained(contexts, read(contexts, 8, bias_cm=off_cm)).messages if "unit of" in each]
+    found = re.search(r"of neighbours (0\.\d\d) in the refitted noise and (-?0\.\d\d) beyond it", note)
+    assert found is not None, note
+    assert float(found[1]) > 0.4
+    assert float(found[2]) < 0.1
+
+
 def test_offsets_between_runs_are_named() -> None:
     contexts = flown(9)
     offset_cm = 1.5 * np.random.default_rng(9).standard_normal(RUNS)
     found = explained(contexts, read(contexts, 9, bias_cm=np.repeat(offset_cm, ROWS)))
     assert "run_offsets" in [each.name for each in found.effects]
+
+
+@pytest.mark.parametrize(("differ", "wanders"), [(False, False), (True, False), (True, True)])
+def test_how_far_runs_differ_and_whether_readings_wander_is_known_without_a_name(differ: bool, wanders: bool) -> None:
+    contexts, rng = flown(12), np.random.default_rng(12)
+    off_cm = np.repeat(rng.permutation(np.linspace(-1.5, 1.5, RUNS)), ROWS) * (differ and not wanders)
+    off_cm = (
+        off_cm + 1.2 * np.sin(np.arange(RUNS * ROWS) * 2.0 * np.pi / ROWS + np.repeat(np.arange(RUNS), ROWS)) * wanders
+    )
+    problem = Problem.of(MODEL, contexts, read(contexts, 12, bias_cm=off_cm), np.arange(RUNS * ROWS) // ROWS, rng)
+    scatter = run_scatter(problem, problem.base, of_blocks=False)
+    if not differ:
+        assert scatter is None
+        return
+    assert scatter is not None
+    assert scatter.inside_runs == wanders
+    assert scatter.deviation_cm == pytest.approx(off_cm.std(), rel=0.25)
+    assert run_scatter(problem, problem.base, of_blocks=True) == replace(scatter, inside_runs=True)
 
 
 @pytest.mark.parametrize("explains", [True, False])

@@ -116,6 +116,13 @@ def test_an_unknown_effect_has_its_size_and_the_column_that_would_name_it() -> N
     )
 
 
+@pytest.mark.parametrize(("size", "words"), [(2.0, "by a factor of 7.4"), (8.1, "by at least a factor of 1,000")])
+def test_odds_that_are_as_good_as_certain_have_no_measured_factor(size: float, words: str) -> None:
+    unknown = UnknownEffect("random", ("throttle",), "x", 0.3, ((0.0, -size, -9.0, 9.0), (1.0, 0.0, -9.0, 9.0)), z=8.0)
+    said = with_words(findings(effects=(), unknown=(unknown,), verdict="partly explained"))
+    assert said.sentence.startswith(f"The share of random readings changes {words} over the throttle in an unknown way")
+
+
 @pytest.mark.parametrize(
     ("low", "high", "why", "next_step"),
     [
@@ -153,6 +160,10 @@ def test_a_column_that_was_not_recorded_comes_after_one_that_did_not_vary() -> N
     assert (causes[0].column, causes[0].recorded) == ("incidence_deg", True)
     assert {each.column for each in causes[1:]} == {"throttle", "vibration_hz"}
     assert not any(each.recorded for each in causes[1:])
+
+
+def test_no_column_makes_the_scatter_smaller() -> None:
+    assert not possible_causes((CalibrationFinding("sigma_cm", "", 1.0, 0.2, 0.18, 0.22, "cm"),), PLAIN, {})
 
 
 @pytest.mark.parametrize(("spread_cm", "asked"), [(5.0, True), (100.0, False)])

@@ -140,6 +140,21 @@ def test_a_place_of_a_few_numbers(values: list[float], where: str) -> None:
     assert findings.unknown[0].where == where
 
 
+def test_ranges_have_the_digits_in_which_they_differ_and_many_are_counted() -> None:
+    """A board that warms by 0.4 °C; what changes with every second twelfth of that is at no one place."""
+    board_c = np.linspace(41.05, 41.45, 3000)[np.random.default_rng(1).permutation(3000)]
+    knots = np.linspace(41.05, 41.45, 13)
+    for values, expected in (
+        (np.where(np.arange(13) > 9, 1.5, 0.0), "board temperature from 41.35 °C"),
+        (np.where(np.arange(13) % 4 > 1, 1.5, 0.0), "of 12 parts of board temperature 41.05 to 41.45 °C"),
+    ):
+        off_cm = np.interp(board_c, knots, values)
+        table = tables(lambda _, off_cm=off_cm: off_cm, board_temperature_c=board_c)
+        term = make_curve_term("bias", ["board_temperature_c"], [knots.tolist()], values.tolist())
+        unknown = UnknownEffect("bias", ("board_temperature_c",), "", 0.1, z=9.0)
+        assert expected in found(table, term, unknown=(unknown,)).unknown[0].where
+
+
 def test_a_ripple_is_everywhere() -> None:
     term = make_curve_term("bias", ["true_range_cm"], [{"period": 23.0}], [1.0, 1.0])
     table = tables(lambda columns: np.sqrt(2.0) * np.cos(2.0 * np.pi * columns["true_range_cm"] / 23.0 - np.pi / 4.0))

@@ -212,7 +212,7 @@ def possible_causes(
     contexts
         Columns of the readings, (n,) each.
     """
-    found = [cause for number in calibration for cause in _causes_of(number.name, model, contexts)]
+    found = [cause for number in calibration for cause in _causes_of(number, model, contexts)]
     columns = [cause.column for cause in found]
     found.sort(key=lambda cause: (not cause.recorded, -columns.count(cause.column)))
     offset_cm = next((number.after for number in calibration if number.name == "offset_cm"), None)
@@ -231,15 +231,18 @@ def _may_be_a_scale(offset_cm: float, model: Model, contexts: Mapping[str, Any])
     return nats < rules.ALTERNATIVE_NATS
 
 
-def _causes_of(number: str, model: Model, contexts: Mapping[str, Any]) -> Iterator[PossibleCause]:
-    channel = CHANNELS.get(number.rpartition(".")[2])
+def _causes_of(number: CalibrationFinding, model: Model, contexts: Mapping[str, Any]) -> Iterator[PossibleCause]:
+    channel = CHANNELS.get(number.name.rpartition(".")[2])
+    if channel == "spread" and (number.after or 0.0) < (number.before or 0.0):
+        # Effects add to the scatter.
+        return
     known = {term.effect.name for term in model.effects}
     for effect in CATALOGUE.values():
         if channel not in effect.channels or effect.name in known or not effect.happens_to(model.sensor):
             continue
         lacking = [column for column in _special(effect) if not _varied(column, contexts)]
         if len(lacking) == 1:
-            yield PossibleCause(number, effect.name, lacking[0], lacking[0] in contexts, effect.experiment)
+            yield PossibleCause(number.name, effect.name, lacking[0], lacking[0] in contexts, effect.experiment)
 
 
 def _special(effect: Effect) -> list[str]:

@@ -4,9 +4,10 @@ They are those of the validated terms in the fit of all runs.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
+from typing import Any
 
 import numpy as np
 from scipy.special import stdtrit
@@ -16,18 +17,19 @@ from msp_lab.gap.alternatives import AlternativeTerm, to_tell_apart
 from msp_lab.gap.candidates import CandidateEffect, Key, SelectedTerm
 from msp_lab.gap.findings import Alternative, CalibrationFinding, FittedValue, FoundEffect, UnknownEffect
 from msp_lab.gap.labels import size_label, unit_after, unit_of
-from msp_lab.gap.prepared import BASE, Prepared, knot_weights
+from msp_lab.gap.prepared import BASE, CHANNELS, Prepared, knot_weights, templates
 from msp_lab.gap.problem import Problem
-from msp_lab.gap.refit import JointFit
+from msp_lab.gap.refit import JointFit, free_numbers, with_values
 from msp_lab.gap.screen import Screen
 from msp_lab.gap.validation import Gain, Validated
 from msp_range.arrays import Array, Indices
+from msp_range.reading_model.rows import Base
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import TRUE_RANGE, Effect
 from msp_sim.effects.curve import Ripple, hats
 from msp_sim.effects.plain import MOST_TIMES
 from msp_sim.effects.range_scale import RANGE_SCALE
-from msp_sim.model.model import Term
+from msp_sim.model.model import Term, applies, shifted
 
 NUMBERS = (
     "offset_cm",
@@ -48,6 +50,10 @@ STEP_SHARE = 0.01
 AT_BOUND = 1e-3
 """A number within this share of its parameter's range of a bound is at it. Fits end there to 1e-6; larger: numbers that
 are near a bound are only suggested."""
+FORMULA_SHARE = 0.25
+"""A formula may be off at a knot by this share of the curve's size; where all are off by more, the values are listed.
+Half of what a line misses at the middle of a step. Larger: formulas with another size than the sentence; smaller: lists
+of values in place of formulas that round off their noise."""
 RIPPLE_DRAWN, RIPPLE_POINTS = 3, 61
 """Periods of a ripple that are drawn, and points of its curve: it goes on like that."""
 
@@ -66,16 +72,48 @@ class FinalFit:
 
     @classmethod
     def of(cls, readings: Prepared, fit: JointFit, unit: Indices, by_run: bool) -> "FinalFit":
-        """With errors by whole runs, of which there are few, or by readings."""
+        """With errors by whole runs, of which there are few, or by readings, and constants as in `with_constants`."""
         covariance = fit.covariance(unit if by_run else None)
         runs = np.unique(unit).size
         width = -float(stdtrit(max(runs - 1, 1), 0.025)) if by_run else 1.959964
-        return cls(readings, fit, covariance * width**2, width)
+        fit, change = with_constants(readings, fit)
+        return cls(readings, fit, change @ covariance @ change.T * width**2, width)
 
     @property
     def half_widths(self) -> Array:
         """Half of the interval of each number; 0 for one that is held at a bound, whose error is not known."""
         return np.asarray(np.sqrt(np.maximum(np.diag(self.widened), 0.0)))
+
+
+def with_constants(readings: Prepared, fit: JointFit) -> tuple[JointFit, Array]:
+    """The same distributions with what curves are on average in the base's own numbers, and the change of the numbers.
+
+    A fit leaves open how much of a constant is a curve's: here its values have mean 0 over the readings, as its formula
+    is written. Where its column is not known or is another word a curve is 0, so that its constant stays. For m numbers
+    the change is an (m, m) matrix.
+    """
+    change, scene = np.eye(fit.values.size), shifted(readings.scene, fit.effects)
+    place = len(BASE)
+    for term in fit.effects:
+        own = slice(place, place + len(term.values))
+        place = own.stop
+        if term.shape is None:
+            continue
+        channel = CHANNELS.index(term.shape[0])
+        higher = term.having({name: value + 1.0 for name, value in term.values.items()})
+        own_added, more_added = (
+            templates(applies(scene, each), each.change(scene))[channel] for each in (term, higher)
+        )
+        moved = more_added - own_added
+        if np.ptp(moved) > 1e-6:
+            continue
+        weights = knot_weights(scene, term.shape).mean(axis=0)
+        change[own, own] -= weights
+        # Against the other sensors a constant of the bias moves nothing.
+        change[channel, own] = weights * np.round(moved[0])
+    values = change @ fit.values
+    effects = with_values(fit.effects, free_numbers(fit.effects), values[len(BASE) :])
+    return replace(fit, base=Base(*values[: len(BASE)].tolist()), effects=effects, values=values), change
 
 
 def found_terms(
@@ -228,13 +266,11 @@ def _values(active: Term, half_widths: Array) -> dict[str, FittedValue]:
 
 
 def _unknown_effect(active: Term, widened: Array, gained: Gain, readings: Prepared) -> UnknownEffect:
-    """A curve about its mean, which it shares with the base; `widened` is its covariance times the width squared."""
+    """A curve; `widened` is its covariance times the width squared."""
     assert active.shape is not None
     channel, variables, knots = active.shape
-    weights = knot_weights(readings.scene, active.shape).mean(axis=0)
-    about_mean = np.eye(weights.size) - weights / max(weights.sum(), 1e-12)
-    values = about_mean @ np.array(list(active.values.values()))
-    half = np.sqrt(np.maximum(np.diag(about_mean @ widened @ about_mean.T), 0.0))
+    values = np.array(list(active.values.values()))
+    half = np.sqrt(np.maximum(np.diag(widened), 0.0))
     at, period, (first, *_) = np.zeros(0), None, knots
     if len(variables) > 1:
         text = (
@@ -242,7 +278,6 @@ def _unknown_effect(active: Term, widened: Array, gained: Gain, readings: Prepar
         )
     elif isinstance(first, Ripple):
         period = first.period
-        values = np.array(list(active.values.values()))
         # That of the readings: of a period of two readings they say the phase badly, and so the height between them.
         most_cm = float(np.abs(knot_weights(readings.scene, active.shape) @ values).max())
         text = f"ripple of {period:.3g} {unit_of(variables[0])} over {variables[0]}, amplitude {most_cm:.2g} cm"
@@ -252,7 +287,7 @@ def _unknown_effect(active: Term, widened: Array, gained: Gain, readings: Prepar
         waves = hats({variables[0]: at}, variables, knots)
         values, half = waves @ values, np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", waves, widened, waves), 0.0))
     elif isinstance(first[0], str):
-        text = ", ".join(f"{knot}: {value:.3g}" for knot, value in zip(first, values, strict=True))
+        text = _listed(first, values)
     else:
         at = np.array(first, dtype=float)
         place = readings.scene[variables[0]]
@@ -311,8 +346,12 @@ def detectable(problem: Problem, first: Screen) -> str:
     return "; ".join(f"{effect} above {size_label(name, *size)}" for (effect, name), size in least.items())
 
 
+def _listed(knots: Sequence[Any], values: Array) -> str:
+    return ", ".join(f"{knot}: {value:.3g}" for knot, value in zip(knots, values, strict=True))
+
+
 def formula(variable: str, at: Array, values: Array, deviation: Array) -> str:
-    """The shortest form of a small grammar that goes through a curve, with its numbers.
+    """The shortest form of a small grammar that goes through a curve, with its numbers; its values where none does.
 
     Parameters
     ----------
@@ -321,18 +360,20 @@ def formula(variable: str, at: Array, values: Array, deviation: Array) -> str:
     at, values, deviation
         Knots, values there and their standard errors, (k,).
     """
-    weight = 1.0 / np.maximum(deviation, 1e-9 + 1e-3 * np.abs(values).max(initial=0.0)) ** 2
+    largest = float(np.abs(values).max(initial=0.0))
+    weight = 1.0 / np.maximum(deviation, 1e-9 + 1e-3 * largest) ** 2
+    most_off = max(FORMULA_SHARE * float(np.ptp(values)), 1e-9 * largest)
     span = float(at[-1] - at[0]) or 1.0
-    best: tuple[float, str] | None = None
+    best = np.inf, _listed([f"{knot:.4g}" for knot in at], values)
     for text, columns, shapes in _grammar(variable, at, span):
         design = np.column_stack([np.ones(at.size), *columns])
         root = np.sqrt(weight)
         solution = np.linalg.lstsq(design * root[:, None], values * root, rcond=None)[0]
-        misfit = float((weight * (values - design @ solution) ** 2).sum())
-        cost = misfit + 2.0 * (design.shape[1] + shapes)
-        if best is None or cost < best[0] - 1e-9:
-            best = (cost, text.format(*(f"{number:.3g}" for number in solution)))
-    return best[1].replace("+ -", "- ") if best else ""
+        off = values - design @ solution
+        cost = float((weight * off**2).sum()) + 2.0 * (design.shape[1] + shapes)
+        if cost < best[0] - 1e-9 and np.abs(off).max() <= most_off:
+            best = cost, text.format(*(f"{number:.3g}" for number in solution))
+    return best[1].replace("+ -", "- ")
 
 
 def _grammar(variable: str, at: Array, span: float) -> Iterator[tuple[str, list[Array], int]]:

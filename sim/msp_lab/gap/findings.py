@@ -194,6 +194,19 @@ class CalibrationFinding:
 
 
 @dataclass(frozen=True)
+class RunScatter:
+    """Runs, or readings inside them, differ by more than the extended model says, and nothing that was found says why.
+
+    What the model itself says of runs that differ counts as said.
+    """
+
+    deviation_cm: float
+    """Standard deviation of the means of runs, or of parts of runs, beyond random variation [cm]."""
+    inside_runs: bool
+    """Whether readings wander inside runs; if not, runs differ from each other."""
+
+
+@dataclass(frozen=True)
 class PossibleCause:
     """An effect that a number of the base may have absorbed, because a column did not vary."""
 
@@ -337,6 +350,8 @@ class GapFindings:
     """At most five lines: how sure, what to do next, and the numbers."""
     causes: tuple[PossibleCause, ...] = ()
     """What calibration may have absorbed."""
+    run_scatter: RunScatter | None = None
+    """How far runs differ, or readings wander, next to what was found; None: not at all, or there is no run."""
     age: ReadingAge | None = None
     """Age of a reading that is late and also repeated; None where it is not both."""
     detectable: str = ""

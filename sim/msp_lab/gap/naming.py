@@ -12,14 +12,21 @@ import numpy as np
 
 from msp_lab.gap import rules
 from msp_lab.gap.curves import instead_of_offsets
-from msp_lab.gap.estimates import FinalFit, calibrated, detectable, found_terms
+from msp_lab.gap.estimates import FinalFit, calibrated, detectable, found_terms, with_constants
 from msp_lab.gap.extended_model import extended
-from msp_lab.gap.findings import CalibrationFinding, FoundEffect, GapFindings, NotTestable, UnknownEffect
+from msp_lab.gap.findings import (
+    CalibrationFinding,
+    FoundEffect,
+    GapFindings,
+    NotTestable,
+    RunScatter,
+    UnknownEffect,
+)
 from msp_lab.gap.intake import Comparison, KnownRows
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Problem, Progress, State, forward_only
 from msp_lab.gap.refit import refit
-from msp_lab.gap.run_offsets import validated_run_offsets, with_run_offsets
+from msp_lab.gap.run_offsets import run_scatter, validated_run_offsets, with_run_offsets
 from msp_lab.gap.runs import Splits, previous, sample, taken
 from msp_lab.gap.search import Selection, select, select_more, settled
 from msp_lab.gap.validation import Validated, validated
@@ -69,6 +76,8 @@ class NamedModel:
     """The smallest effects that would have been found, in words."""
     dropped: tuple[tuple[str, str], ...]
     """Terms on which the splits do not agree, and why."""
+    run_scatter: RunScatter | None
+    """How far runs differ, or readings wander, next to what was found."""
     messages: tuple[str, ...]
     """What a reader has to know."""
 
@@ -92,6 +101,7 @@ def name(comparison: Comparison, findings: GapFindings, report: Progress) -> tup
         calibration=(*findings.calibration, *named.calibration),
         not_testable=named.not_testable,
         detectable=named.detectable,
+        run_scatter=named.run_scatter,
         p_value=named.p_value,
         messages=(
             *findings.messages,
@@ -173,7 +183,7 @@ def name_effects(
     report("validating on splits of the runs", 0.85)
     selection, kept = _validated(problem, selection, splits, max_terms)
     report("fitting all runs", 0.92)
-    return _named(problem, selection, kept, AllReadings(contexts, reading_cm, splits))
+    return _named(problem, selection, kept, AllReadings(contexts, reading_cm, splits), max_terms)
 
 
 def _validated(problem: Problem, selection: Selection, splits: Splits, max_terms: int) -> tuple[Selection, Validated]:
@@ -203,7 +213,7 @@ def _validated(problem: Problem, selection: Selection, splits: Splits, max_terms
     return selection, replace(again, state=refitted(again.state), dropped=dropped)
 
 
-def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllReadings) -> NamedModel:
+def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllReadings, max_terms: int) -> NamedModel:
     model, by_run, splits = problem.model, kept.state.by_run, whole.splits
     fit = kept.state.fit
     held_out, _ = whole.sampled(problem, np.flatnonzero(splits.held_out), rules.FINAL_ROWS)
@@ -221,6 +231,7 @@ def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllRe
         unit = splits.unit[rows]
         fit = refit(readings, fit.effects, fit.base)
     final = FinalFit.of(readings, fit, unit, by_run)
+    fit, (of_training, _) = final.fit, with_constants(training, of_training)
     effects, unknown, calibration = found_terms(problem, selection.base.fit, kept, selection.alternatives, final)
     path = _path(problem, selection, kept.state)
     calibration = [*calibrated(problem, final, of_training), *calibration]
@@ -246,7 +257,8 @@ def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllRe
         selection.first.p_value,
         detectable(problem, selection.first),
         tuple((lost.term.label, lost.why) for lost in kept.dropped),
-        tuple(_messages(problem, selection, by_run, whole.reading_cm.size)),
+        run_scatter(problem, kept.state.fit, splits.of_blocks),
+        tuple(_messages(problem, selection, kept.state, whole.reading_cm.size, max_terms)),
     )
 
 
@@ -267,18 +279,25 @@ def _path(problem: Problem, selection: Selection, state: State) -> tuple[ModelSt
     return tuple(steps)
 
 
-def _messages(problem: Problem, selection: Selection, by_run: bool, size: int) -> Iterator[str]:
+def _messages(problem: Problem, selection: Selection, kept: State, size: int, max_terms: int) -> Iterator[str]:
     if len(problem.readings) < size:
         yield (
             f"Effects were searched in {len(problem.readings):,} of {size:,} readings, stretches of neighbours from "
             f"all parts of all runs, and their values fitted to {min(size, rules.FINAL_ROWS):,}."
         )
     if selection.is_full:
-        yield "As many effects were found as may be added; more may be missing (--max-effects)."
-    if by_run:
-        measured = problem.dependence(selection.base.fit)
+        held = f", of which {len(kept.terms)} held" * (len(kept.terms) < max_terms)
         yield (
-            f"Readings of a run depend on each other (correlation of neighbours {measured.lag_correlation:.2f}; for a "
-            f"constant they count as {measured.effective_readings:.0f} independent ones): the unit of evidence is the "
-            "run."
+            f"The search ended with as many effects, curves and numbers of the base as may be added, {max_terms}{held}"
+            f"; more may be missing (--max-effects {2 * max_terms})."
+        )
+    if kept.by_run:
+        base = selection.base.fit
+        measured, of_noise = problem.dependence(base), base.base.correlation
+        noise = f"{of_noise:.2f} in the refitted noise and " * (of_noise != 0.0)
+        beyond = " beyond it" * (of_noise != 0.0)
+        yield (
+            f"Readings of a run depend on each other (correlation of neighbours {noise}{measured.lag_correlation:.2f}"
+            f"{beyond}; for a constant they count as {measured.effective_readings:.0f} independent ones): the unit of "
+            "evidence is the run."
         )

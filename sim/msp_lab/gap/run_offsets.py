@@ -8,8 +8,8 @@ from scipy.optimize import minimize
 from scipy.special import chdtrc
 
 from msp_lab.gap import rules
-from msp_lab.gap.evidence import blocks_of
-from msp_lab.gap.findings import Alternative, FittedValue, FoundEffect
+from msp_lab.gap.evidence import blocks_of, wanders
+from msp_lab.gap.findings import Alternative, FittedValue, FoundEffect, RunScatter
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit
@@ -51,6 +51,24 @@ def run_offset_cm(problem: Problem, fit: JointFit) -> float:
         return 0.0
     sigma_cm = float(np.median(problem.readings.rows.sigma_cm)) * float(np.exp(whole))
     return sigma_cm * float(np.sqrt(share))
+
+
+def run_scatter(problem: Problem, fit: JointFit, of_blocks: bool) -> RunScatter | None:
+    """How far runs differ or readings wander inside them, next to the effects of a fit; None where they do not.
+
+    Offsets between runs are named if splits of the runs agree on them: this is what is known where they do not.
+    Where blocks stand in for runs, what they differ by is a wander.
+    """
+    wander = wanders(fit, problem.unit)
+    if not wander and problem.dependence(fit).p_between > rules.DEPENDENT_P:
+        return None
+    inside_runs = wander and p_beyond_wander(fit.offset_slope, problem.unit) > rules.WANDER_P
+    unit = blocks_of(problem.unit) if inside_runs else problem.unit
+    slope = fit.offset_slope - fit.offset_slope.mean()
+    # Of a unit with information I and variance d of its offset, a sum of slopes has the variance I + I^2 d.
+    sums, information = np.bincount(unit, slope), np.bincount(unit) * float(np.mean(slope**2))
+    variance = float((sums**2 - information).sum() / (information**2).sum())
+    return RunScatter(float(np.sqrt(max(variance, 0.0))), inside_runs or of_blocks)
 
 
 def p_beyond_wander(slope: Array, unit: Indices) -> float:

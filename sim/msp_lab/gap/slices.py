@@ -26,7 +26,7 @@ from msp_lab.gap.findings import FoundEffect, GapFindings, Slice, UnknownEffect,
 from msp_lab.gap.labels import name_of, with_unit
 from msp_lab.gap.measures import Measures, free_fits
 from msp_lab.gap.prepared import CHANNELS
-from msp_range.arrays import Array, Column, Flags, Indices
+from msp_range.arrays import Array, Column, Flags, Indices, Texts
 from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.effects.curve import Ripple
 from msp_sim.model.model import Model, Term
@@ -277,6 +277,10 @@ def _in_words(term: Term, size: Array, is_changed: Flags, after: Measures) -> st
     extent, core = (_places(part, values, shown) for shown in (here, most))
     is_everywhere = np.array_equal(here, known)
     text = "everywhere" if is_everywhere else f"{name_of(name)} {with_unit(and_list(extent), name)}"
+    if not is_everywhere and len(extent) > MOST_PLACES and any(" to " in place for place in extent):
+        # Many ranges are no place: how much of the column is.
+        low, high = _ends(part, values)[[0, -1], [0, 1]]
+        text = f"{here.sum()} of {known.sum()} parts of {name_of(name)} {with_unit(f'{low} to {high}', name)}"
     if np.array_equal(most, here) or len(core) > MOST_PLACES:
         return text
     return f"{text}, most {f'at {name_of(name)} ' * is_everywhere}{with_unit(and_list(core), name)}"
@@ -284,28 +288,37 @@ def _in_words(term: Term, size: Array, is_changed: Flags, after: Measures) -> st
 
 def _places(part: Partition, values: Column, here: Flags) -> list[str]:
     """Some cells of a partition by one column: their words, or ranges of their numbers."""
-    known = np.flatnonzero(_is_known(part)).tolist()
+    known = _is_known(part)
+    here = here[known]
     if part.centres is None:
-        return _some(part.labels[k].removeprefix(f"{part.variables[0]} ") for k in known if here[k])
-
-    def ends(cells: list[int]) -> list[str]:
-        own = values[np.isin(part.cell, cells)]
-        return [f"{float(f'{end:.3g}'):,g}" for end in (own.min(), own.max())]
-
-    if all(low == high for low, high in (ends([k]) for k in known)):
-        return _some(ends([k])[0] for k in known if here[k])
+        words = [part.labels[k].removeprefix(f"{part.variables[0]} ") for k in np.flatnonzero(known)]
+        return _some(np.array(words)[here].tolist())
+    ends, last = _ends(part, values), here.size - 1
+    if np.all(ends[:, 0] == ends[:, 1]):
+        return _some(ends[here, 0].tolist())
     places = []
     # Cells next to each other are one range.
-    for is_here, group in groupby(known, key=here.__getitem__):
+    for is_here, group in groupby(range(here.size), key=here.__getitem__):
         cells = list(group)
-        low, high = ends(cells)
-        if is_here and cells[0] == known[0]:
+        low, high = ends[cells[0], 0], ends[cells[-1], 1]
+        if is_here and cells[0] == 0:
             places.append(f"up to {high}")
-        elif is_here and cells[-1] == known[-1]:
+        elif is_here and cells[-1] == last:
             places.append(f"from {low}")
         elif is_here:
             places.append(f"{low} to {high}")
     return _some(places)
+
+
+def _ends(part: Partition, values: Column) -> Texts:
+    """Smallest and largest number in each known cell, (known, 2), with as many digits as they differ in, up to six."""
+    own = [values[part.cell == k] for k in np.flatnonzero(_is_known(part))]
+    ends = np.array([(cell.min(), cell.max()) for cell in own])
+    for digits in range(3, 7):
+        written = np.array([[f"{float(f'{end:.{digits}g}'):,g}" for end in pair] for pair in ends.tolist()])
+        if np.array_equal(written[:, 0] == written[:, 1], ends[:, 0] == ends[:, 1]):
+            break
+    return written
 
 
 def _some(words: Iterable[str]) -> list[str]:
