@@ -183,8 +183,12 @@ class MixtureRows(ByRow):
         has_max = last == self.maximum_cm
         moves = np.flatnonzero(has_max != ((first <= SATURATED_CM) & (last >= SATURATED_CM)))
         if moves.size:
-            top = np.full(moves.size, float(self.maximum_cm))
-            moved = part(self.take(moves), top, top) * np.where(has_max[moves], -1.0, 1.0)
+            # What arrives as M alone has been computed.
+            moved, others = -parts[:, moves], np.flatnonzero(first[moves] != self.maximum_cm)
+            if others.size:
+                top = np.full(others.size, float(self.maximum_cm))
+                own = part(self.take(moves[others]), top, top)
+                moved[:, others] = own * np.where(has_max[moves[others]], -1.0, 1.0)
             parts[:, moves] += self.saturated_fraction * moved
             if len(parts) > len(FREE):
                 parts[-1, moves] = moved[0]

@@ -16,7 +16,7 @@ from msp_lab.gap.alternatives import AlternativeTerm, to_tell_apart
 from msp_lab.gap.candidates import CandidateEffect, Key, SelectedTerm
 from msp_lab.gap.findings import Alternative, CalibrationFinding, FittedValue, FoundEffect, UnknownEffect
 from msp_lab.gap.labels import size_label, unit_after, unit_of
-from msp_lab.gap.prepared import BASE, Prepared, knot_weights
+from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit
 from msp_lab.gap.screen import Screen
@@ -24,7 +24,7 @@ from msp_lab.gap.validation import Gain, Validated
 from msp_range.arrays import Array, Indices
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import TRUE_RANGE, Effect
-from msp_sim.effects.curve import Ripple, hats
+from msp_sim.effects.curve import Ripple, hats, knot_weights
 from msp_sim.effects.plain import MOST_TIMES
 from msp_sim.effects.range_scale import RANGE_SCALE
 from msp_sim.model.model import Term
@@ -231,7 +231,7 @@ def _unknown_effect(active: Term, widened: Array, gained: Gain, readings: Prepar
     """A curve about its mean, which it shares with the base; `widened` is its covariance times the width squared."""
     assert active.shape is not None
     channel, variables, knots = active.shape
-    weights = knot_weights(readings.scene, active.shape).mean(axis=0)
+    weights = knot_weights(readings.scene, variables, knots).mean(axis=0)
     about_mean = np.eye(weights.size) - weights / max(weights.sum(), 1e-12)
     values = about_mean @ np.array(list(active.values.values()))
     half = np.sqrt(np.maximum(np.diag(about_mean @ widened @ about_mean.T), 0.0))
@@ -244,7 +244,7 @@ def _unknown_effect(active: Term, widened: Array, gained: Gain, readings: Prepar
         period = first.period
         values = np.array(list(active.values.values()))
         # That of the readings: of a period of two readings they say the phase badly, and so the height between them.
-        most_cm = float(np.abs(knot_weights(readings.scene, active.shape) @ values).max())
+        most_cm = float(np.abs(knot_weights(readings.scene, variables, knots) @ values).max())
         text = f"ripple of {period:.3g} {unit_of(variables[0])} over {variables[0]}, amplitude {most_cm:.2g} cm"
         # Some periods of it in the middle of the readings, where its phase is known best.
         middle = float(np.nanmedian(readings.scene[variables[0]]))

@@ -137,7 +137,7 @@ class Hits:
     def of(cls, prepared: Prepared, base: Base, effects: Sequence[Term]) -> "Hits":
         """At a fit."""
         rows = prepared.at(base, effects)
-        history = history_of(prepared.scene, 0.0, 1.0)
+        history = history_of(prepared.scene, 0.0, prepared.spacing_s or 1.0)
         off, found = (prepared.reading_cm - rows.centre_cm) / rows.sigma_cm, rows.are_hits(prepared.reading_cm)
         if found.any():
             middle = float(np.median(off[found]))
