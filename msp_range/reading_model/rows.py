@@ -175,10 +175,13 @@ class MixtureRows(ByRow):
         With q of the mixture and the saturated fraction s, p(M) = (1 - s) q(M) and p(255) = q(255) + s q(M).
         """
         first, last = np.maximum(first, self.minimum_cm), np.minimum(last, self.maximum_cm)
-        inside = np.flatnonzero(first <= last)
-        if inside.size < first.size:
+        outside = np.flatnonzero(~(first <= last))
+        if 2 * outside.size > first.size:
+            inside = np.flatnonzero(first <= last)
             some = MixtureRows.arrives(self.take(inside), first[inside], last[inside], part)
             return among(some, inside, first.size)
+        # To compute a few too many takes less time than to copy all others.
+        first[outside] = last[outside] = self.minimum_cm
         parts = part(self, first, last)
         has_max = last == self.maximum_cm
         moves = np.flatnonzero(has_max != ((first <= SATURATED_CM) & (last >= SATURATED_CM)))
@@ -192,6 +195,7 @@ class MixtureRows(ByRow):
             parts[:, moves] += self.saturated_fraction * moved
             if len(parts) > len(FREE):
                 parts[-1, moves] = moved[0]
+        parts[:, outside] = 0.0
         return parts
 
     def weights(self) -> list[Any]:

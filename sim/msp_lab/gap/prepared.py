@@ -14,9 +14,10 @@ from msp_lab.gap.runs import taken
 from msp_range.arrays import Array
 from msp_range.reading_model.rows import MIN_PROBABILITY, Base, shares_of
 from msp_sim.effects.base import Contribution, Scene
+from msp_sim.effects.component import Component
 from msp_sim.effects.curve import FIELDS, CurveChannel, knot_weights
 from msp_sim.model.model import Model, Term, applies, apply_terms, base_rows, history_of, shifted
-from msp_sim.model.rows import Carry, ModelRows, log_prob
+from msp_sim.model.rows import AddedComponent, Carry, ModelRows, log_prob
 
 BASE = Base._fields
 """The base's numbers that are fitted together with every effect; the last one only where readings are correlated."""
@@ -112,7 +113,8 @@ class Prepared:
         moves_all = "code" in own.effect.channels or own.effect.name == "run_offsets"
         is_component = own.effect.channels == ("component",)
         before = {} if moves_all or is_component else templates(known, own.change(scene))
-        parts = self._without(own, here) if is_component else None
+        parts = self._parts(own, here) if is_component else []
+        odds, total = _without(parts, here) if is_component else (0.0, 0.0)
         for slope, parameter in zip(slopes, own.effect.parameters, strict=True):
             if parameter.jumps:
                 continue
@@ -124,30 +126,45 @@ class Prepared:
             if moves_all:
                 moved = self.log_prob(base, [*effects[:k], there, *effects[k + 1 :]])
                 slope += (moved - here.log_p) / step
-            elif parts is not None:
-                odds, total = self._mixed_in(*parts, 1.0, there, here)
-                slope += (np.log(np.maximum(total / odds, MIN_PROBABILITY)) - here.log_p) / step
+            elif is_component:
+                added = self._parts(there, here, parts)
+                p = (total + sum(part.odds * own_p for part, own_p in added)) / (odds + sum(part.odds for part, _ in added))
+                slope += (np.log(np.maximum(p, MIN_PROBABILITY)) - here.log_p) / step
             else:
                 for i, template in templates(known, there.change(scene)).items():
                     slope += here.score(i, (template - before[i]) / step)
         return slopes
 
-    def _without(self, own: Term, here: "ChannelSlopes") -> tuple[Array, Array]:
-        """One and the odds of all components but one, and the sum of the parts without it: the probability times one
-        and all odds is that with it, as all after the mixture is linear in the probability."""
-        odds = 1.0 + sum(np.asarray(part.odds) for part in here.rows.added)
-        total = odds * np.where(here.log_p > np.log(MIN_PROBABILITY), np.exp(here.log_p), 0.0)
-        return self._mixed_in(odds, total, -1.0, own, here)
-
-    def _mixed_in(
-        self, odds: Array, total: Array, sign: float, term: Term, here: "ChannelSlopes"
-    ) -> tuple[Array, Array]:
-        """The odds and the sum of the parts with a component added or, with a sign of -1, taken out."""
-        rows = apply_terms(replace(here.rows, added=()), self.scene, (term,))
+    def _parts(
+        self, term: Term, here: "ChannelSlopes", known: Sequence[tuple[AddedComponent, Array]] = ()
+    ) -> list[tuple[AddedComponent, Array]]:
+        """The components of a term, with the probability of each reading under each, (n,); those of `known` that have
+        another share alone are not computed again."""
+        rows, found = apply_terms(replace(here.rows, added=()), self.scene, (term,)), []
         for part in rows.added:
-            own = rows.of_readings(self.reading_cm, ModelRows.last_added)[0]
-            odds, total = odds + sign * part.odds, total + sign * part.odds * own
-        return odds, total
+            own = next((own for other, own in known if _are_same(other.component, part.component)), None)
+            if own is None:
+                own = replace(rows, added=(part,)).of_readings(self.reading_cm, ModelRows.last_added)[0]
+            found.append((part, own))
+        return found
+
+
+def _are_same(one: Component, other: Component) -> bool:
+    """Whether two components are of one kind and have the same numbers."""
+    ours, theirs = vars(one), vars(other)
+    return type(one) is type(other) and all(
+        ours[name] is theirs[name] or np.array_equal(ours[name], theirs[name]) for name in ours
+    )
+
+
+def _without(parts: Sequence[tuple[AddedComponent, Array]], here: "ChannelSlopes") -> tuple[Array, Array]:
+    """One and the odds of all components but these, and the sum of the parts without them: the probability times one
+    and all odds is that with them, as all after the mixture is linear in the probability."""
+    odds = 1.0 + sum(np.asarray(part.odds) for part in here.rows.added)
+    total = odds * np.where(here.log_p > np.log(MIN_PROBABILITY), np.exp(here.log_p), 0.0)
+    for part, own in parts:
+        odds, total = odds - part.odds, total - part.odds * own
+    return odds, total
 
 
 def templates(known: Any, change: Contribution) -> dict[int, Array]:
@@ -165,14 +182,18 @@ class ChannelSlopes:
     by: Array
     """Derivatives, (n, 8) in the order of `BASE`: the first five are by the channels, by what is the same for all
     readings."""
-    shares: Array
-    """Shares of short, missed and random readings, (n, 3), before components and faults of the code."""
     rows: ModelRows
     """The distribution of each reading after those before it."""
     own_centre: Array
     carry: Carry | None
     """Derivative by the centre of the reading's own hit, and what it carries over from the hit before; None where
     readings are independent."""
+
+    @property
+    def shares(self) -> Array:
+        """Shares of short, missed and random readings, (n, 3), before components and faults of the code."""
+        shares = [np.broadcast_to(share, self.log_p.shape) for share in shares_of(self.rows.log_weights)[1:]]
+        return np.stack(shares, axis=1)
 
     def score(self, channel: int, template: Array) -> Array:
         """Derivative of each reading's log probability by a number that moves a channel by a template, (n,) or (m, n).
@@ -210,5 +231,4 @@ def channel_slopes(rows: ModelRows, reading_cm: Array) -> ChannelSlopes:
     if carry is not None:
         by[:, 0] *= 1.0 - carry.factor
         by[:, 7] = own_centre * carry.correlation_shift_cm + by[:, 1] * carry.log_sigma_slope
-    shares = [np.broadcast_to(share, reading_cm.shape) for share in shares_of(rows.log_weights)[1:]]
-    return ChannelSlopes(log_p, by, np.stack(shares, axis=1), rows, own_centre, carry)
+    return ChannelSlopes(log_p, by, rows, own_centre, carry)
