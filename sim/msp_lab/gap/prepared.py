@@ -128,7 +128,9 @@ class Prepared:
                 slope += (moved - here.log_p) / step
             elif is_component:
                 added = self._parts(there, here, parts)
-                p = (total + sum(part.odds * own_p for part, own_p in added)) / (odds + sum(part.odds for part, _ in added))
+                p = (total + sum(part.odds * own_p for part, own_p in added)) / (
+                    odds + sum(part.odds for part, _ in added)
+                )
                 slope += (np.log(np.maximum(p, MIN_PROBABILITY)) - here.log_p) / step
             else:
                 for i, template in templates(known, there.change(scene)).items():
