@@ -162,7 +162,7 @@ def _are_same(one: Component, other: Component) -> bool:
 def _without(parts: Sequence[tuple[AddedComponent, Array]], here: "ChannelSlopes") -> tuple[Array, Array]:
     """One and the odds of all components but these, and the sum of the parts without them: the probability times one
     and all odds is that with them, as all after the mixture is linear in the probability."""
-    odds = 1.0 + sum(np.asarray(part.odds) for part in here.rows.added)
+    odds: Array = np.asarray(1.0 + sum(part.odds for part in here.rows.added))
     total = odds * np.where(here.log_p > np.log(MIN_PROBABILITY), np.exp(here.log_p), 0.0)
     for part, own in parts:
         odds, total = odds - part.odds, total - part.odds * own
