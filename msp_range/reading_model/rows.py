@@ -175,19 +175,27 @@ class MixtureRows(ByRow):
         With q of the mixture and the saturated fraction s, p(M) = (1 - s) q(M) and p(255) = q(255) + s q(M).
         """
         first, last = np.maximum(first, self.minimum_cm), np.minimum(last, self.maximum_cm)
-        inside = np.flatnonzero(first <= last)
-        if inside.size < first.size:
+        outside = np.flatnonzero(~(first <= last))
+        if 2 * outside.size > first.size:
+            inside = np.flatnonzero(first <= last)
             some = MixtureRows.arrives(self.take(inside), first[inside], last[inside], part)
             return among(some, inside, first.size)
+        # To compute a few too many takes less time than to copy all others.
+        first[outside] = last[outside] = self.minimum_cm
         parts = part(self, first, last)
         has_max = last == self.maximum_cm
         moves = np.flatnonzero(has_max != ((first <= SATURATED_CM) & (last >= SATURATED_CM)))
         if moves.size:
-            top = np.full(moves.size, float(self.maximum_cm))
-            moved = part(self.take(moves), top, top) * np.where(has_max[moves], -1.0, 1.0)
+            # What arrives as M alone has been computed.
+            moved, others = -parts[:, moves], np.flatnonzero(first[moves] != self.maximum_cm)
+            if others.size:
+                top = np.full(others.size, float(self.maximum_cm))
+                own = part(self.take(moves[others]), top, top)
+                moved[:, others] = own * np.where(has_max[moves[others]], -1.0, 1.0)
             parts[:, moves] += self.saturated_fraction * moved
             if len(parts) > len(FREE):
                 parts[-1, moves] = moved[0]
+        parts[:, outside] = 0.0
         return parts
 
     def weights(self) -> list[Any]:

@@ -11,6 +11,7 @@ from msp_lab.gap.problem import Problem, first_state, with_candidate
 from msp_lab.gap.refit import JointFit, refit
 from msp_range.reading_model.rows import Base
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
+from msp_sim.effects.component import Normal
 from msp_sim.model.model import Model, Term, make_curve_term, make_term
 from tests.support.measured import MODEL as FILE
 from tests.support.plain_sampler import PlainSensor
@@ -112,14 +113,25 @@ def test_slopes_of_components_are_those_of_all_parts_together() -> None:
     prepared = Prepared.of(MODEL.adding("clutter", share=0.02), contexts, reading_cm, spacing_s=0.1)
     base = Base(0.2, 0.1, 0.1, 0.0, 0.0, 0.0, 0.0, 0.3)
     here = prepared.slopes(base, effects)
+    slopes = iter(prepared.slopes_of(base, effects, here))
     for k in (0, 1):
         for parameter in effects[k].effect.parameters:
             value = effects[k].values[parameter.name]
             step = parameter.step * (1.0 if parameter.neutral is not None else value)
             there = placed((effects[k],), np.array([*({**effects[k].values, parameter.name: value + step}).values()]))
             moved = prepared.log_prob(base, [*effects[:k], *there, *effects[k + 1 :]])
-            found = prepared.slope_of(k, parameter, base, effects, here)
-            assert found == pytest.approx((moved - here.log_p) / step, abs=1e-7)
+            assert next(slopes) == pytest.approx((moved - here.log_p) / step, abs=1e-7)
+
+
+def test_a_component_with_another_share_is_not_computed_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    contexts = flown(1, 600)
+    tails = [make_term("multipath", None, {"share": 0.1, "sigma_cm": 3.0})]
+    prepared = Prepared.of(MODEL, contexts, read(contexts, 1))
+    here, asked, prob = prepared.slopes(Base(), tails), [], Normal.prob
+    monkeypatch.setattr(Normal, "prob", lambda *given: asked.append(0) or prob(*given))
+    assert prepared.slopes_of(Base(), tails, here).shape == (2, 600)
+    # Each of both spreads for the readings, and for what arrives as 255.
+    assert len(asked) == 4
 
 
 def test_a_fit_is_at_its_highest_and_its_errors_are_those_of_repetition() -> None:

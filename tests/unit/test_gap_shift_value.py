@@ -1,12 +1,14 @@
 """A delay's value: the likelihood is that of an offset of each run, correlated and white noise, and holds its value."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.refit import refit
-from msp_lab.gap.shift_value import Hits, with_shifts
+from msp_lab.gap.shift_value import MEMORIES, SHARES, Hits, with_shifts
 from msp_range.reading_model.rows import Base
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.effects.path import with_path
@@ -93,8 +95,9 @@ def test_the_likelihood_is_that_of_the_whole_covariance() -> None:
         size = float(np.linalg.slogdet(covariance)[1])
         return 0.5 * (40 * float(np.log(left @ inverse @ left / 40)) + size)
 
-    for numbers in ((0.3, 2.0), (0.9, 16.0), (0.6, 0.5)):
-        assert hits.loss(error_cm, *numbers) == pytest.approx(whole(*numbers), rel=1e-9)
+    tried = zip(product(SHARES, MEMORIES), hits.noises(), strict=True)
+    for numbers, noise in tried:
+        assert noise.loss(error_cm) == pytest.approx(whole(*numbers), rel=1e-9)
 
 
 def test_of_few_hits_a_value_stays_as_it_is() -> None:

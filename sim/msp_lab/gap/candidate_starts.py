@@ -15,7 +15,8 @@ from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.refit import JointFit
 from msp_range.arrays import Indices
 from msp_range.reading_model.rows import Base
-from msp_sim.model.model import Term
+from msp_sim.model.model import Term, apply_terms, shifted
+from msp_sim.model.rows import log_prob
 
 
 def starts_of(prepared: Prepared, fit: JointFit, candidate: CandidateEffect, value: float) -> list[tuple[Term, Base]]:
@@ -80,10 +81,16 @@ def _best_start(prepared: Prepared, fit: JointFit, candidate: CandidateEffect, v
     """The effect at the best of some values: its shape's first number next to all grids of the others, then each."""
     parameter, lines = candidate.parameter, _lines(candidate)
     here = candidate.at(value)
+    rows, scene = prepared.at(base, fit.effects), shifted(prepared.scene, fit.effects)
+
+    def height(term: Term) -> float:
+        if term.effect.is_shift:
+            # The others act on the scene that it shifts.
+            return _height(prepared, fit, term, base)
+        return float(log_prob(apply_terms(rows, scene, [term]), prepared.reading_cm).sum())
 
     def best(*changes: Mapping[str, float]) -> Term:
-        terms = [here, *map(here.having, changes)]
-        return max(terms, key=lambda term: _height(prepared, fit, term, base))
+        return max([here, *map(here.having, changes)], key=height)
 
     here = best(*shapes_of(candidate))
     stronger = [np.clip(here.values[parameter.name] * times, parameter.low, parameter.high) for times in (0.25, 4.0)]

@@ -17,7 +17,7 @@ from msp_lab.gap.alternatives import AlternativeTerm, to_tell_apart
 from msp_lab.gap.candidates import CandidateEffect, Key, SelectedTerm
 from msp_lab.gap.findings import Alternative, CalibrationFinding, FittedValue, FoundEffect, UnknownEffect
 from msp_lab.gap.labels import size_label, unit_after, unit_of
-from msp_lab.gap.prepared import BASE, CHANNELS, Prepared, knot_weights, templates
+from msp_lab.gap.prepared import BASE, CHANNELS, Prepared, templates
 from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit, free_numbers, with_values
 from msp_lab.gap.screen import Screen
@@ -26,7 +26,7 @@ from msp_range.arrays import Array, Indices
 from msp_range.reading_model.rows import Base
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import TRUE_RANGE, Effect
-from msp_sim.effects.curve import Ripple, hats
+from msp_sim.effects.curve import Ripple, hats, knot_weights
 from msp_sim.effects.plain import MOST_TIMES
 from msp_sim.effects.range_scale import RANGE_SCALE
 from msp_sim.model.model import Term, applies, shifted
@@ -107,7 +107,7 @@ def with_constants(readings: Prepared, fit: JointFit) -> tuple[JointFit, Array]:
         moved = more_added - own_added
         if np.ptp(moved) > 1e-6:
             continue
-        weights = knot_weights(scene, term.shape).mean(axis=0)
+        weights = knot_weights(scene, *term.shape[1:]).mean(axis=0)
         change[own, own] -= weights
         # Against the other sensors a constant of the bias moves nothing.
         change[channel, own] = weights * np.round(moved[0])
@@ -279,7 +279,7 @@ def _unknown_effect(active: Term, widened: Array, gained: Gain, readings: Prepar
     elif isinstance(first, Ripple):
         period = first.period
         # That of the readings: of a period of two readings they say the phase badly, and so the height between them.
-        most_cm = float(np.abs(knot_weights(readings.scene, active.shape) @ values).max())
+        most_cm = float(np.abs(knot_weights(readings.scene, variables, knots) @ values).max())
         text = f"ripple of {period:.3g} {unit_of(variables[0])} over {variables[0]}, amplitude {most_cm:.2g} cm"
         # Some periods of it in the middle of the readings, where its phase is known best.
         middle = float(np.nanmedian(readings.scene[variables[0]]))

@@ -13,10 +13,11 @@ import numpy as np
 from msp_lab.gap.runs import taken
 from msp_range.arrays import Array
 from msp_range.reading_model.rows import MIN_PROBABILITY, Base, shares_of
-from msp_sim.effects.base import Contribution, Parameter, Scene
-from msp_sim.effects.curve import FIELDS, CurveChannel, Knots, hats
+from msp_sim.effects.base import Contribution, Scene
+from msp_sim.effects.component import Component
+from msp_sim.effects.curve import FIELDS, CurveChannel, knot_weights
 from msp_sim.model.model import Model, Term, applies, apply_terms, base_rows, history_of, shifted
-from msp_sim.model.rows import Carry, ModelRows, log_prob
+from msp_sim.model.rows import AddedComponent, Carry, ModelRows, log_prob
 
 BASE = Base._fields
 """The base's numbers that are fitted together with every effect; the last one only where readings are correlated."""
@@ -86,70 +87,92 @@ class Prepared:
         """What a term adds to the hit of each reading [cm], (n,)."""
         return np.broadcast_to(templates(applies(self.scene, term), term.change(self.scene))[0], len(self))
 
-    def slope_of(
-        self, k: int, parameter: Parameter, base: Base, effects: Sequence[Term], here: "ChannelSlopes"
-    ) -> Array:
-        """Derivative of each log probability by one number of the k-th effect, (n,); `here` are the slopes there.
+    def slopes_of(self, base: Base, effects: Sequence[Term], here: "ChannelSlopes") -> Array:
+        """Derivatives of each log probability by the numbers of the effects, one after another, (numbers, n).
 
-        Of a number along which the likelihood jumps it is 0, so that a fit holds it: with a slope that says nothing
-        each step of Newton would fail at any length, and with it that of all other numbers.
+        `here` are the slopes there. A number along which the likelihood jumps has none, so that a fit holds it: with a
+        slope that says nothing each step of Newton would fail at any length, and with it that of all other numbers.
         """
-        if parameter.jumps:
-            return np.zeros(len(self))
-        own = effects[k]
-        value = own.values[parameter.name]
-        step = parameter.step * (1.0 if parameter.neutral is not None else max(abs(value), 1.0))
-        if value + step > parameter.high:
-            step = -step
-        there = own.having({parameter.name: value + step})
-        if own.effect.channels == ("component",):
-            return (self._with_component(own, there, here) - here.log_p) / step
-        if "code" in own.effect.channels or own.effect.name == "run_offsets":
-            return (self.log_prob(base, [*effects[:k], there, *effects[k + 1 :]]) - here.log_p) / step
-        scene = self.scene if own.effect.is_shift else shifted(self.scene, effects)
+        scene = shifted(self.scene, effects)
+        found = [self._slopes_of(k, base, effects, here, scene) for k in range(len(effects))]
+        return np.concatenate([np.zeros((0, len(self))), *found])
+
+    def _slopes_of(self, k: int, base: Base, effects: Sequence[Term], here: "ChannelSlopes", scene: Scene) -> Array:
+        """Those by the numbers of the k-th effect, (numbers, n), in the scene that all effects have shifted."""
+        own, slopes = effects[k], np.zeros((len(effects[k].effect.parameters), len(self)))
+        scene = self.scene if own.effect.is_shift else scene
         known = applies(scene, own)
         if known is False:
-            return np.zeros(len(self))
+            return slopes
         if own.shape is not None:
-            # Linear in its values: the weights of this knot.
-            weights = knot_weights(scene, own.shape)[:, int(parameter.name.removeprefix("value_"))]
+            # Linear in its values: the weights of each knot.
+            weights = knot_weights(scene, *own.shape[1:]).T
             if own.shape[0] == "bias" and own.is_added:
-                weights = scene.about_run_mean(weights)
+                weights = np.array([scene.about_run_mean(each) for each in weights])
             return here.score(CHANNELS.index(own.shape[0]), np.where(known, weights, 0.0))
-        before, after = (templates(known, term.change(scene)) for term in (own, there))
-        slope = np.zeros(len(self))
-        for i, template in after.items():
-            slope += here.score(i, (template - before[i]) / step)
-        return slope
+        moves_all = "code" in own.effect.channels or own.effect.name == "run_offsets"
+        is_component = own.effect.channels == ("component",)
+        before = {} if moves_all or is_component else templates(known, own.change(scene))
+        parts = self._parts(own, here) if is_component else []
+        odds, total = _without(parts, here) if is_component else (0.0, 0.0)
+        for slope, parameter in zip(slopes, own.effect.parameters, strict=True):
+            if parameter.jumps:
+                continue
+            value = own.values[parameter.name]
+            step = parameter.step * (1.0 if parameter.neutral is not None else max(abs(value), 1.0))
+            if value + step > parameter.high:
+                step = -step
+            there = own.having({parameter.name: value + step})
+            if moves_all:
+                moved = self.log_prob(base, [*effects[:k], there, *effects[k + 1 :]])
+                slope += (moved - here.log_p) / step
+            elif is_component:
+                added = self._parts(there, here, parts)
+                p = (total + sum(part.odds * own_p for part, own_p in added)) / (
+                    odds + sum(part.odds for part, _ in added)
+                )
+                slope += (np.log(np.maximum(p, MIN_PROBABILITY)) - here.log_p) / step
+            else:
+                for i, template in templates(known, there.change(scene)).items():
+                    slope += here.score(i, (template - before[i]) / step)
+        return slopes
 
-    def _with_component(self, one: Term, other: Term, here: "ChannelSlopes") -> Array:
-        """Log probabilities with another component in place of one of those at `here`; the rest is not computed again.
+    def _parts(
+        self, term: Term, here: "ChannelSlopes", known: Sequence[tuple[AddedComponent, Array]] = ()
+    ) -> list[tuple[AddedComponent, Array]]:
+        """The components of a term, with the probability of each reading under each, (n,); those of `known` that have
+        another share alone are not computed again."""
+        rows, found = apply_terms(replace(here.rows, added=()), self.scene, (term,)), []
+        for part in rows.added:
+            own = next((own for other, own in known if _are_same(other.component, part.component)), None)
+            if own is None:
+                own = replace(rows, added=(part,)).of_readings(self.reading_cm, ModelRows.last_added)[0]
+            found.append((part, own))
+        return found
 
-        All after the mixture is linear in the probability, so p (1 + sum of the odds) is a sum of the parts.
-        """
-        odds = 1.0 + sum(np.asarray(part.odds) for part in here.rows.added)
-        total = odds * np.where(here.log_p > np.log(MIN_PROBABILITY), np.exp(here.log_p), 0.0)
-        for sign, term in ((-1.0, one), (1.0, other)):
-            rows = apply_terms(replace(here.rows, added=()), self.scene, (term,))
-            for part in rows.added:
-                own = rows.of_readings(self.reading_cm, ModelRows.last_added)[0]
-                odds, total = odds + sign * part.odds, total + sign * part.odds * own
-        return np.asarray(np.log(np.maximum(total / odds, MIN_PROBABILITY)))
+
+def _are_same(one: Component, other: Component) -> bool:
+    """Whether two components are of one kind and have the same numbers."""
+    ours, theirs = vars(one), vars(other)
+    return type(one) is type(other) and all(
+        ours[name] is theirs[name] or np.array_equal(ours[name], theirs[name]) for name in ours
+    )
+
+
+def _without(parts: Sequence[tuple[AddedComponent, Array]], here: "ChannelSlopes") -> tuple[Array, Array]:
+    """One and the odds of all components but these, and the sum of the parts without them: the probability times one
+    and all odds is that with them, as all after the mixture is linear in the probability."""
+    odds: Array = np.asarray(1.0 + sum(part.odds for part in here.rows.added))
+    total = odds * np.where(here.log_p > np.log(MIN_PROBABILITY), np.exp(here.log_p), 0.0)
+    for part, own in parts:
+        odds, total = odds - part.odds, total - part.odds * own
+    return odds, total
 
 
 def templates(known: Any, change: Contribution) -> dict[int, Array]:
     """What a change adds to each channel that it moves, by the channel's place; 0 where it is not known."""
     moved = {i: getattr(change, FIELDS[channel]) for i, channel in enumerate(CHANNELS)}
     return {i: np.nan_to_num(np.where(known, template, 0.0)) for i, template in moved.items() if template is not None}
-
-
-def knot_weights(scene: Scene, shape: tuple[str, tuple[str, ...], tuple[Knots, ...]]) -> Array:
-    """Weights of a curve's knots, worked out once for a scene."""
-    key = shape[1:]
-    if key not in scene.kept:
-        scene.kept[key] = hats(scene, shape[1], shape[2])
-    weights: Array = scene.kept[key]
-    return weights
 
 
 @dataclass(frozen=True)
@@ -161,8 +184,6 @@ class ChannelSlopes:
     by: Array
     """Derivatives, (n, 8) in the order of `BASE`: the first five are by the channels, by what is the same for all
     readings."""
-    shares: Array
-    """Shares of short, missed and random readings, (n, 3), before components and faults of the code."""
     rows: ModelRows
     """The distribution of each reading after those before it."""
     own_centre: Array
@@ -170,8 +191,14 @@ class ChannelSlopes:
     """Derivative by the centre of the reading's own hit, and what it carries over from the hit before; None where
     readings are independent."""
 
+    @property
+    def shares(self) -> Array:
+        """Shares of short, missed and random readings, (n, 3), before components and faults of the code."""
+        shares = [np.broadcast_to(share, self.log_p.shape) for share in shares_of(self.rows.log_weights)[1:]]
+        return np.stack(shares, axis=1)
+
     def score(self, channel: int, template: Array) -> Array:
-        """Derivative of each reading's log probability by a number that moves a channel by a template, (n,).
+        """Derivative of each reading's log probability by a number that moves a channel by a template, (n,) or (m, n).
 
         With correlated noise the error of the hit before moves with its own template T_j, so that a shift counts as
         T_i - k T_j and a wider spread moves the centre by the error carried over, times L_i - L_j.
@@ -179,8 +206,8 @@ class ChannelSlopes:
         own, carried = self.parts(channel)
         if carried is None or self.carry is None:
             return own * template
-        template = np.broadcast_to(template, self.log_p.shape)
-        return own * template - carried * template[self.carry.before]
+        template = np.broadcast_to(template, np.broadcast_shapes(np.shape(template), self.log_p.shape))
+        return own * template - carried * template[..., self.carry.before]
 
     def parts(self, channel: int) -> tuple[Array, Array | None]:
         """What a channel's template counts, and that of the hit before, with a minus sign; None if it does not."""
@@ -206,5 +233,4 @@ def channel_slopes(rows: ModelRows, reading_cm: Array) -> ChannelSlopes:
     if carry is not None:
         by[:, 0] *= 1.0 - carry.factor
         by[:, 7] = own_centre * carry.correlation_shift_cm + by[:, 1] * carry.log_sigma_slope
-    shares = [np.broadcast_to(share, reading_cm.shape) for share in shares_of(rows.log_weights)[1:]]
-    return ChannelSlopes(log_p, by, np.stack(shares, axis=1), rows, own_centre, carry)
+    return ChannelSlopes(log_p, by, rows, own_centre, carry)

@@ -194,8 +194,7 @@ def refit(
 
     def slopes(at: Array, here: ChannelSlopes) -> NumberSlopes:
         base, terms = placed(at)
-        columns = [prepared.slope_of(k, p, base, terms, here) for k, p in numbers]
-        scores = np.column_stack([here.by, *columns])
+        scores = np.column_stack([here.by, prepared.slopes_of(base, terms, here).T])
         precision = np.concatenate([base_precision(base), of_numbers])
         gradient = scores.sum(axis=0) - precision * at
         information = scores.T @ scores + np.diag(precision)

@@ -9,7 +9,7 @@ gives them no weight. Of that noise on any times the precision is tridiagonal, s
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -106,10 +106,10 @@ class Shift:
         # What other effects make of the range at another time is that of the range here: they come in again next time.
         error_cm = hits.errors(self.prepared, self.base, self.at(value))
         still_cm = error_cm + moved_cm(value)
-        noise = min(product(SHARES, MEMORIES), key=lambda tried: hits.loss(error_cm, *tried))
+        noise = min(hits.noises(), key=lambda tried: tried.loss(error_cm))
 
         def loss(there: float) -> float:
-            return hits.loss(still_cm - moved_cm(there), *noise)
+            return noise.loss(still_cm - moved_cm(there))
 
         found = minimize_scalar(
             loss,
@@ -137,7 +137,7 @@ class Hits:
     def of(cls, prepared: Prepared, base: Base, effects: Sequence[Term]) -> "Hits":
         """At a fit."""
         rows = prepared.at(base, effects)
-        history = history_of(prepared.scene, 0.0, 1.0)
+        history = history_of(prepared.scene, 0.0, prepared.spacing_s or 1.0)
         off, found = (prepared.reading_cm - rows.centre_cm) / rows.sigma_cm, rows.are_hits(prepared.reading_cm)
         if found.any():
             middle = float(np.median(off[found]))
@@ -153,26 +153,46 @@ class Hits:
         """Errors of the hits with these effects [cm], (m,)."""
         return (prepared.reading_cm - prepared.at(base, effects).centre_cm)[self.order]
 
-    def loss(self, error_cm: Array, share: float, memory: float) -> float:
-        """Negative log-likelihood of errors, but for a constant, with the likeliest size of the noise and offsets.
-
-        Parameters
-        ----------
-        error_cm
-            (m,).
-        share, memory
-            Of the noise's variance that neighbours have in common, and in how many steps it forgets itself.
-        """
-        over = np.where(self.starts[1:], 0.0, np.minimum(np.exp(-self.steps / memory), LONGEST_MEMORY))
-        next_one = over / (share * (1.0 - over**2))
-        white = 1.0 - share
-        of_prior = 1.0 / share + np.append(0.0, over * next_one) + np.append(over * next_one, 0.0)
-        factors, below, _ = dpttrf(of_prior + 1.0 / white, -next_one)
-        sides = np.column_stack([error_cm, np.ones(error_cm.size)]) / self.sigma_cm[:, None]
-        weighted = (sides - dpttrs(factors, below, sides / white)[0]) / white
+    def noises(self) -> Iterator["Noise"]:
+        """The noises that are tried."""
         first = np.flatnonzero(self.starts)
-        offsets, known = (np.add.reduceat(sides[:, 1] * weighted[:, i], first) for i in (0, 1))
+        overs = [
+            np.where(self.starts[1:], 0.0, np.minimum(np.exp(-self.steps / memory), LONGEST_MEMORY))
+            for memory in MEMORIES
+        ]
+        for share, over in product(SHARES, overs):
+            left, white = 1.0 - over**2, 1.0 - share
+            next_one = over / (share * left)
+            precision = np.full(self.order.size, 1.0 / share)
+            precision[1:] += over * next_one
+            precision[:-1] += over * next_one
+            factors, below, _ = dpttrf(precision + 1.0 / white, -next_one)
+            # The determinant of the noise's covariance: that of the precision with the readings, over that without.
+            size = float(np.log(factors).sum() + np.log(share * np.append(1.0, left)).sum())
+            yield Noise(self.sigma_cm, first, white, factors, below, size)
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of hits, series by series and in order of time, of which a share forgets itself in some steps."""
+
+    sigma_cm: Array
+    """Spread of each hit, (m,)."""
+    first: Indices
+    """Where a series begins, (series,)."""
+    white: float
+    """Share of the noise's variance that neighbours do not have in common."""
+    factors: Array
+    below: Array
+    """Factors of the precision of the other share, with the readings, (m,) and (m - 1,)."""
+    size: float
+    """Logarithm of the determinant of the noise's covariance, but for that of the spreads."""
+
+    def loss(self, error_cm: Array) -> float:
+        """Negative log-likelihood of errors (m,), but for a constant, with the likeliest size of the noise and
+        offsets."""
+        sides = np.column_stack([error_cm, np.ones(error_cm.size)]) / self.sigma_cm[:, None]
+        weighted = (sides - dpttrs(self.factors, self.below, sides / self.white)[0]) / self.white
+        offsets, known = (np.add.reduceat(sides[:, 1] * weighted[:, i], self.first) for i in (0, 1))
         squares = float(sides[:, 0] @ weighted[:, 0] - (offsets**2 / known).sum())
-        # The determinant of the noise's covariance: that of the precision with the readings, over that without them.
-        size = float(np.log(factors).sum() + np.log(share * np.append(1.0, 1.0 - over**2)).sum())
-        return 0.5 * (size + error_cm.size * float(np.log(white * squares / error_cm.size)))
+        return 0.5 * (self.size + error_cm.size * float(np.log(self.white * squares / error_cm.size)))

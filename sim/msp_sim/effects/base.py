@@ -6,7 +6,7 @@ adds the contributions of all effects to the base mixture, for drawing readings 
 effect does not change a reading whose context is unknown (a missing column or an empty cell).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
@@ -83,12 +83,11 @@ class Scene:
         self.sensor = sensor
         self._contexts = contexts
         self._known: dict[str, Any] = {}
-        self._run: Indices | None = None
         self._ago_s: Any = 0.0
         self._stamped = contexts
         self._shifted: Scene | None = None
-        self.kept: dict[Any, Any] = {}
-        """Cache for what an effect computes once for all values of its parameters."""
+        self._of_range: dict[Any, Any] = {}
+        self._of_others: dict[Any, Any] = {}
 
     def __contains__(self, column: str) -> bool:
         return column in self._contexts
@@ -114,6 +113,10 @@ class Scene:
             return self._contexts[column] if known else otherwise
         return np.where(known, self._contexts[column], otherwise)
 
+    def kept(self, columns: Collection[str]) -> dict[Any, Any]:
+        """Cache for what is computed once from some columns: of the same at all times, unless the true range is one."""
+        return self._of_range if TRUE_RANGE in columns else self._of_others
+
     def at(self, ago_s: Any) -> "Scene":
         """The scene ``ago_s`` earlier [s]: the true ranges then, from the reference's path, or from the rate without a
         path."""
@@ -125,6 +128,8 @@ class Scene:
         moved_cm = stamped[PATH].moved_cm(ago_s) if PATH in stamped else -ago_s * stamped["range_rate_cm_s"]
         scene = Scene(self.sensor, {**stamped, TRUE_RANGE: stamped[TRUE_RANGE] + np.nan_to_num(moved_cm)})
         scene._ago_s, scene._stamped = ago_s, stamped
+        # Where ranges are known does not change: one that has no path stays where it is.
+        scene._known, scene._of_others = self._known, self._of_others
         self._shifted = scene
         return scene
 
@@ -135,14 +140,16 @@ class Scene:
         is taken off them. So it counts about its mean: else a scale would have to explain that it shifts no run as a
         whole, and a bent curve would be the better name.
         """
-        if self._run is None:
+        kept = self.kept(("run", REFERENCE))
+        if "run" not in kept:
             own = np.any(self._contexts.get(REFERENCE, "") == OTHERS) and "run" in self._contexts
-            self._run = numbered(self._contexts["run"]) if own else np.zeros(0, dtype=np.intp)
-        if not self._run.size:
+            kept["run"] = numbered(self._contexts["run"]) if own else np.zeros(0, dtype=np.intp)
+        run: Indices = kept["run"]
+        if not run.size:
             return bias_cm
         known = np.isfinite(bias_cm) & np.isfinite(self.range_cm)
-        counts = np.maximum(np.bincount(self._run, known), 1.0)
-        return bias_cm - (np.bincount(self._run, np.where(known, bias_cm, 0.0)) / counts)[self._run]
+        counts = np.maximum(np.bincount(run, known), 1.0)
+        return bias_cm - (np.bincount(run, np.where(known, bias_cm, 0.0)) / counts)[run]
 
     def known(self, column: str) -> Any:
         """Rows in which a column is known: an array, or True for all rows, or False if the column is absent."""

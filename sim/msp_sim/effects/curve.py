@@ -66,13 +66,11 @@ def curve(channel: CurveChannel, variables: Sequence[str], knots: Sequence[Knots
     count = int(np.prod([len(knot) for knot in knots]))
     unit = "cm" if channel == "bias" else "1"
     names = [f"value_{i}" for i in range(count)]
-    shape = (tuple(variables), tuple(knot if isinstance(knot, Ripple) else tuple(knot) for knot in knots))
+    places = tuple(knot if isinstance(knot, Ripple) else tuple(knot) for knot in knots)
 
     def apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
         at = np.array([values[name] for name in names])
-        if shape not in scene.kept:
-            scene.kept[shape] = hats(scene, variables, knots)
-        return Contribution(**{FIELDS[channel]: scene.kept[shape] @ at})
+        return Contribution(**{FIELDS[channel]: knot_weights(scene, tuple(variables), places) @ at})
 
     return Effect(
         name=CURVE,
@@ -85,6 +83,15 @@ def curve(channel: CurveChannel, variables: Sequence[str], knots: Sequence[Knots
         experiment=f"vary {' and '.join(variables)} alone",
         apply=apply,
     )
+
+
+def knot_weights(scene: Scene, variables: tuple[str, ...], knots: tuple[Knots, ...]) -> Array:
+    """As `hats`, worked out once for a scene."""
+    kept = scene.kept(variables)
+    if (variables, knots) not in kept:
+        kept[variables, knots] = hats(scene, variables, knots)
+    weights: Array = kept[variables, knots]
+    return weights
 
 
 def hats(scene: Any, variables: Sequence[str], knots: Sequence[Knots]) -> Array:

@@ -99,9 +99,10 @@ class ReferencePath(np.ndarray[Any, np.dtype[np.int64]]):
     """A column of the places of readings on the paths of their table, which any part of the column keeps."""
 
     knots: Knots | None
+    _stamped: tuple[Array, Array, Array] | None
 
     def __array_finalize__(self, whole: Any) -> None:
-        self.knots = getattr(whole, "knots", None)
+        self.knots, self._stamped = getattr(whole, "knots", None), None
 
     @classmethod
     def of(cls, columns: Mapping[str, Any]) -> "ReferencePath | None":
@@ -114,14 +115,22 @@ class ReferencePath(np.ndarray[Any, np.dtype[np.int64]]):
     def moved_cm(self, ago_s: Any) -> Array:
         """How far the range was from that at each stamp, so long before it [cm]."""
         assert self.knots is not None
-        time_s = self.knots.time_s[np.asarray(self)]
-        return self.knots.at(time_s - ago_s)[0] - self.knots.at(time_s)[0]
+        time_s, range_cm, _ = self._at_stamps
+        return self.knots.at(time_s - ago_s)[0] - range_cm
 
     @property
     def rate(self) -> Array:
         """Rate at each stamp [cm/s]."""
-        assert self.knots is not None
-        return self.knots.at(self.knots.time_s[np.asarray(self)])[1]
+        return self._at_stamps[2]
+
+    @property
+    def _at_stamps(self) -> tuple[Array, Array, Array]:
+        """Time, range and rate at each stamp, worked out once: a fit asks for many other times."""
+        if self._stamped is None:
+            assert self.knots is not None
+            time_s = self.knots.time_s[np.asarray(self)]
+            self._stamped = time_s, *self.knots.at(time_s)
+        return self._stamped
 
 
 def with_path(columns: Mapping[str, Any]) -> Mapping[str, Any]:

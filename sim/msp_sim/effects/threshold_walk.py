@@ -15,13 +15,14 @@ HALF_POWER_DEG = 18.0
 
 def _absorption_db_per_m(scene: Scene) -> Any:
     """Absorption by each reading's air, or by usual air where it is unknown. At 0 deg C it is a third of that at 20."""
-    if "absorption" not in scene.kept:
+    kept = scene.kept(("air_temperature_c", "humidity_pct"))
+    if "absorption" not in kept:
         usual = Atmosphere()
         temperature_c = scene.optional("air_temperature_c", usual.temperature_c)
         absolute_k = np.clip(temperature_c, -20.0, 50.0) + ZERO_CELSIUS_K
         humidity_percent = np.clip(scene.optional("humidity_pct", usual.humidity_percent), 0.0, 100.0)
-        scene.kept["absorption"] = db_per_m(scene.sensor.frequency_hz, absolute_k, humidity_percent, usual.pressure_pa)
-    return scene.kept["absorption"]
+        kept["absorption"] = db_per_m(scene.sensor.frequency_hz, absolute_k, humidity_percent, usual.pressure_pa)
+    return kept["absorption"]
 
 
 def _apply(scene: Scene, values: Values) -> Contribution:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from msp_range.arrays import Array, Flags, Indices
+from msp_range.arrays import Array, Flags, Indices, numbered
 from msp_sim.model.streams import RandomStreams
 
 HISTORY_COLUMNS = ("run", "sensor", "time_s")
@@ -46,8 +46,13 @@ class History:
     def of(cls, columns: Mapping[str, Any], size: int, correlation: float, spacing_s: float) -> "History":
         """The history of n readings from their columns ``run``, ``sensor`` and ``time_s``, as far as recorded."""
         words = [columns[name].astype(str) for name in ("run", "sensor") if name in columns]
-        keys = np.array(["/".join(each) for each in zip(*words, strict=True)]) if words else np.full(size, "")
-        names, series = np.unique(keys, return_inverse=True)
+        pair = np.zeros(size, dtype=np.intp)
+        for word in words:
+            pair = pair * (size + 1) + numbered(word)
+        _, first, own = np.unique(pair, return_index=True, return_inverse=True)
+        keys = ["/".join(word[i] for word in words) for i in first]
+        names, place = np.unique(np.array(keys, dtype=str), return_inverse=True)
+        series = place[own]
         time_s = columns.get("time_s", np.full(size, np.nan))
         known = bool(np.isfinite(time_s).all())
         order = np.lexsort((np.arange(size), time_s if known else np.zeros(size), series)).astype(np.intp)

@@ -247,8 +247,12 @@ def base_rows(model: Model, scene: Scene) -> ModelRows:
 
 def history_of(scene: Scene, correlation: float, spacing_s: float) -> History:
     """The history of a scene's readings: which one came before which."""
-    columns = {name: scene[name] for name in HISTORY_COLUMNS if name in scene}
-    return History.of(columns, int(np.size(scene.range_cm)), correlation, spacing_s)
+    kept = scene.kept(HISTORY_COLUMNS)
+    if ("history", spacing_s) not in kept:
+        columns = {name: scene[name] for name in HISTORY_COLUMNS if name in scene}
+        kept["history", spacing_s] = History.of(columns, int(np.size(scene.range_cm)), correlation, spacing_s)
+    history: History = kept["history", spacing_s]
+    return replace(history, correlation=correlation)
 
 
 def apply_terms(rows: ModelRows, scene: Scene, effects: Iterable[Term]) -> ModelRows:

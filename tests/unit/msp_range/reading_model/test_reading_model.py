@@ -228,3 +228,14 @@ def test_limits_that_are_no_whole_centimetres() -> None:
     drawn = model.sample({"true_range_cm": np.full(2000, 399.0)}, np.random.default_rng(1))
     assert drawn.max() == 400.5
     assert np.isin(drawn, every_cm).all()
+
+
+@pytest.mark.parametrize("outside", [2, 40])
+def test_readings_out_of_limits_change_nothing_of_the_others(outside: int) -> None:
+    codes = np.concatenate([np.full(outside, 3.0), [255.0, 765.0, 20.0, 100.0, np.inf, np.nan]])
+    rows = ROUGH.rows(np.full(codes.size, 254.0))
+    for part in (type(rows).probability, type(rows).slopes):
+        together = rows.of_readings(codes, part)
+        alone = [rows.take(np.array([i])).of_readings(codes[i : i + 1], part) for i in range(codes.size)]
+        np.testing.assert_array_equal(together, np.hstack(alone))
+        assert not together[:, :outside].any()

@@ -5,7 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from msp_range.reading_model.sensor_model import load_sensor_model
-from msp_sim.effects.base import PATH
+from msp_sim.effects.base import PATH, Scene
+from msp_sim.effects.curve import knot_weights
 from msp_sim.effects.path import ReferencePath, with_path
 from msp_sim.model.model import Model, make_term
 from tests.support.measured import MODEL
@@ -134,3 +135,23 @@ def test_rows_far_from_each_other_go_on_at_their_recorded_rate() -> None:
 
     rate = 60.0 * 2.0 * np.pi / 5.0 * np.cos(turns)
     assert off_cm(columns | {"range_rate_cm_s": rate}) < 0.05 < 0.2 < off_cm(columns)
+
+
+def test_at_another_time_only_what_follows_from_the_range_is_worked_out_again() -> None:
+    scene = Scene(PLAIN.sensor, with_path(table(height_cm(TIME_S), throttle=np.linspace(0.0, 1.0, TIME_S.size))))
+    for column, knots in (("throttle", (0.0, 0.5, 1.0)), ("true_range_cm", (150.0, 200.0, 250.0))):
+        weights = knot_weights(scene, (column,), (knots,))
+        assert knot_weights(scene, (column,), (knots,)) is weights
+        later = knot_weights(scene.at(0.4), (column,), (knots,))
+        assert (later is weights) == (column == "throttle")
+        assert np.array_equal(later, weights) == (column == "throttle")
+
+
+def test_ranges_at_the_stamps_are_worked_out_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    path = with_path(table(height_cm(TIME_S)))[PATH]
+    asked, of_knots = [], type(path.knots).at
+    monkeypatch.setattr(type(path.knots), "at", lambda self, time_s: asked.append(0) or of_knots(self, time_s))
+    moved_cm = [path.moved_cm(ago_s) for ago_s in (0.1, 0.2, 0.1)]
+    assert len(asked) == 4
+    np.testing.assert_array_equal(moved_cm[0], moved_cm[2])
+    np.testing.assert_array_equal(path[5:9].moved_cm(0.1), moved_cm[0][5:9])
