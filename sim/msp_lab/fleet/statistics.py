@@ -130,7 +130,7 @@ def _number(term: FleetTerm, of_units: dict[int, Sessions], level: float) -> Num
     series = tuple(of_units.values())
     omega2 = between_sessions(series)
     value, error = np.array([sessions.estimate(omega2) for sessions in series]).T
-    if not term.is_base and candidate_of(term).one_sided:
+    if not term.is_base and candidate_of(term).linear:
         # The variance of a share is in proportion to it: a small one is known no better than the others' would be.
         error *= np.sqrt(np.maximum(np.median(value) / np.maximum(value, error), 1.0))
     return Number(

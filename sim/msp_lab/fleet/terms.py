@@ -62,8 +62,8 @@ class FleetTerm:
 
     @property
     def is_base(self) -> bool:
-        """Whether it is a number that every sensor has."""
-        return self.effect in BASE
+        """Whether it is a number that every sensor has: `missed` is the name of one, and of an effect."""
+        return self.effect in BASE and self.number == "value"
 
     @property
     def catalogued(self) -> Effect:
