@@ -13,7 +13,7 @@ from msp_sim.model.model import Term
 
 _FINDINGS = {
     "offset": "readings are {value:too far|too near}",
-    "scatter": "readings scatter {value:times}",
+    "scatter": "readings scatter {value:times much}",
     "short": "short readings come {value:times}",
     "missed": "missed echoes come {value:times}",
     "random": "readings at random ranges come {value:times}",

@@ -20,11 +20,11 @@ import numpy as np
 from msp_lab.fleet.terms import BASE, FleetTerm, candidate_of, term_of
 from msp_lab.gap.candidates import CandidateEffect, SelectedTerm
 from msp_lab.gap.intake import read_readings, with_least_weights
-from msp_lab.gap.problem import Problem, State, screened, with_candidate
 from msp_lab.gap.prepared import CHANNELS, ODDS_CHANNELS
+from msp_lab.gap.problem import Problem, State, screened, with_candidate
 from msp_lab.gap.refit import JointFit, inverse, sums_by
 from msp_lab.gap.search import Selection, add_effects, settled
-from msp_range.arrays import Array, numbered
+from msp_range.arrays import Array, Column, numbered
 from msp_range.errors import UserError
 from msp_sim.model.model import Model
 
@@ -95,6 +95,8 @@ class UnitNumbers:
     """Number of effects that the readings can show."""
     untestable: tuple[tuple[str, tuple[str, ...]], ...]
     """Effects that lack a column, with the columns."""
+    words: tuple[tuple[str, str], ...] = ()
+    """Columns of words that are one word in all readings, such as a batch, with the word."""
 
 
 Names = tuple[tuple[FleetTerm, float], ...]
@@ -153,7 +155,14 @@ def examine(model: Model, task: tuple[Unit, tuple[FleetTerm, ...]]) -> UnitNumbe
         gain_nats,
         len({(*candidate.key, candidate.parameter.name) for candidate in _asked(problem)}),
         problem.untestable,
+        tuple((name, str(column[0])) for name, column in problem.contexts.items() if _is_one_word(name, column)),
     )
+
+
+def _is_one_word(name: str, column: Column) -> bool:
+    """Whether a column has the same known word in all readings, and not by being of one sensor."""
+    words = np.unique(column).tolist() if column.dtype.kind == "U" and name not in ("run", "sensor") else []
+    return len(words) == 1 and words[0] != ""
 
 
 def _covariance(fit: JointFit, of_terms: Sequence[tuple[int, CandidateEffect]]) -> tuple[Array, Array]:
@@ -170,7 +179,7 @@ def _covariance(fit: JointFit, of_terms: Sequence[tuple[int, CandidateEffect]]) 
     odds = [(place, place) for place in range(first_odds, len(CHANNELS))]
     for place, candidate in of_terms:
         if held[place] and candidate.linear:
-            # No reading is likelier with less than none of a kind: such a share is as near to 0 as the slope there says.
+            # No reading is likelier with less than none of a kind: the share is as near to 0 as the slope there says.
             own = max(information[place, place], fit.at.gradient[place] ** 2)
             information[place] = information[:, place] = 0.0
             information[place, place] = own

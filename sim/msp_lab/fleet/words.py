@@ -47,6 +47,8 @@ def line_of(effect: FleetEffect, findings: FleetFindings) -> str:
         return f"{names} drifted: from its first session to its last, {effect.plain}{other}"
     if effect.kind == "odd":
         return f"{count} of {findings.vehicles} vehicles differ{'s' * (count == 1)}: {effect.plain}{other}: {names}"
+    if effect.kind == "group":
+        return f"the vehicles of {effect.group} differ from the others: {effect.plain}{other}: {names}"
     if effect.kind == "shared":
         return f"the whole fleet differs from the model: {effect.plain}{other}"
     return f"in the whole fleet {effect.name.replace('_', ' ')} is another number than the model's: {effect.plain}"
