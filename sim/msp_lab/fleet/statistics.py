@@ -168,7 +168,8 @@ def groups_of(units: Sequence[UnitNumbers], vehicles: Sequence[str]) -> tuple[Gr
 
 def shift_of(apart: Apart | None, units: Indices) -> Array:
     """By how much units are apart with their group, (k,)."""
-    return np.zeros(units.size) if apart is None else apart.size * np.isin(units, list(apart.group.units))
+    size, inside = (0.0, frozenset[int]()) if apart is None else (apart.size, apart.group.units)
+    return np.where(np.isin(units, list(inside)), size, 0.0)
 
 
 def numbers_of(
@@ -239,8 +240,8 @@ def apart_of(
     if not _has_both(inside):
         return Apart(group, 0.0, 0.0)
     size, log_p = _difference(value, error, inside)
-    without = [_difference(*(np.delete(each, k) for each in (value, error, inside))) for k in np.flatnonzero(inside)]
-    sure = max(one_less for _, one_less in without) <= WITHOUT_ONE_LOG_P
+    others = (np.arange(value.size) != k for k in np.flatnonzero(inside))
+    sure = max(_difference(value[k], error[k], inside[k])[1] for k in others) <= WITHOUT_ONE_LOG_P
     return Apart(group, size, log_p if sure else 0.0)
 
 

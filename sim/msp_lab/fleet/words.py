@@ -72,3 +72,13 @@ def left_out_line(findings: FleetFindings) -> str:
     """Who is not in the comparison, and why."""
     parts = [f"{left.vehicle} {left.sensor} ({left.why})" for left in findings.left_out]
     return f"Left out: {and_list(parts)}." if parts else ""
+
+
+def one_session_line(findings: FleetFindings) -> str:
+    """A hint where vehicles have many sensors, of which each has one session: those of tables without a name of it."""
+    if not findings.vehicles < findings.sensors == findings.sessions:
+        return ""
+    return (
+        f"Each of the {findings.sensors} sensors has one session. If they are one sensor of each vehicle, give the "
+        "tables a column 'sensor' with its name: without one each file is a sensor of its own."
+    )

@@ -61,8 +61,8 @@ def find_in_fleet(
     order = {"group": 0, "odd": 0, "change": 1, "drift": 1, "shared": 2, "calibration": 3}
     found = sorted(search.all(), key=lambda finding: order[finding.kind])
     known = {finding.number.term for finding in found if finding.change is None}
-    every = search.compared(numbers).items()
-    others = [FleetFinding("compared", number) for term, number in every if term not in known]
+    compared = search.compared(numbers)
+    others = [FleetFinding("compared", number) for term, number in compared.items() if term not in known]
     findings = FleetFindings(
         sentence="",
         dataset=str(dataset),

@@ -24,7 +24,7 @@ from msp_lab.fleet.statistics import (
 from msp_lab.fleet.terms import FleetTerm
 from msp_lab.fleet.unit import Sessions, UnitNumbers
 from msp_lab.fleet.vehicles import units_of
-from msp_lab.fleet.words import plain_of, sentence_of
+from msp_lab.fleet.words import one_session_line, plain_of, sentence_of
 from msp_range.errors import UserError
 
 LEVEL = float(np.log(0.00025))
@@ -54,6 +54,12 @@ BCG = np.array(
 def test_a_small_fleet_reports_that_its_scatter_hides_much(vehicles: int, says: bool) -> None:
     findings = FleetFindings("", "", "", vehicles, vehicles, 12, 3600, (), 0, (), 0.05, 40, (), 1, "", "")
     assert ("even one that is far off" in sentence_of(findings)) == says
+
+
+@pytest.mark.parametrize(("sensors", "says"), [(32, True), (4, False), (8, False)])
+def test_sensors_of_one_session_each_may_be_one_sensor_without_a_name(sensors: int, says: bool) -> None:
+    findings = FleetFindings("", "", "", 4, sensors, 32, 3600, (), 0, (), 0.05, 40, (), 1, "", "")
+    assert ("give the tables a column 'sensor'" in one_session_line(findings)) == says
 
 
 @pytest.mark.parametrize(
