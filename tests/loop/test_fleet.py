@@ -13,6 +13,7 @@ import pytest
 
 from evaluation.fleet import score
 from evaluation.fleet.generator import fleet
+from msp_lab.fleet.terms import BASE
 from msp_lab.readings.dataset import record_runs, write_tables
 from msp_range.recording.csv_form import MeasuredData
 from msp_sim.model.model import load_model
@@ -70,7 +71,10 @@ def test_the_late_vehicle_is_named_on_the_page_in_the_table_and_on_the_terminal(
     (late,) = [each for each in odd[0]["estimates"] if each["odd"]]
     assert late["vehicle"] == "V3"
     assert late["low"] < 200.0 < late["high"]
-    assert "latency,delay_ms,ms,V3,down,,yes" in (out / "fleet.csv").read_text()
+    table = (out / "fleet.csv").read_text()
+    assert "latency,delay_ms,ms,V3,down,,yes" in table
+    # What nothing was found in is there too, for near misses.
+    assert [table.count(f"compared,{number},value,") for number in BASE] == [6] * len(BASE)
     assert "V3" in (out / "report.html").read_text()
 
 

@@ -79,7 +79,7 @@ def fleet(
 
 
 def _print(findings: "FleetFindings", died: int, console: PlainConsole) -> None:
-    from msp_lab.fleet.words import left_out_line, line_of
+    from msp_lab.fleet.words import left_out_line, line_of, one_session_line
     from msp_lab.gap.labels import unit_after
 
     console.print(findings.sentence, style="bold")
@@ -94,5 +94,7 @@ def _print(findings: "FleetFindings", died: int, console: PlainConsole) -> None:
             )
     if findings.left_out:
         console.print(left_out_line(findings))
+    if hint := one_session_line(findings):
+        console.print(hint)
     if died:
         console.print(f"{died} worker processes died; their sensors were examined again.")

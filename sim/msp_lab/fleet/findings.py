@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Literal
 
-Kind = Literal["shared", "odd", "change", "drift", "calibration"]
+Kind = Literal["shared", "odd", "group", "change", "drift", "calibration", "compared"]
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,9 @@ class FleetEffect:
     """One number over the fleet."""
 
     kind: Kind
-    """``shared``: the whole fleet has it; ``odd``: only some vehicles; ``change`` or ``drift``: it changed between
-    sessions; ``calibration``: the whole fleet has another value than the sensor model, which is no fault."""
+    """``shared``: the whole fleet has it; ``odd``: only some vehicles; ``group``: those that a column tells from the
+    others; ``change`` or ``drift``: it changed between sessions; ``calibration``: the whole fleet has another value
+    than the sensor model, which is no fault; ``compared``: nothing was found in this number."""
     name: str
     parameter: str
     unit: str
@@ -67,6 +68,8 @@ class FleetEffect:
     """Standard deviation between sessions of a vehicle."""
     estimates: tuple[UnitEstimate, ...] = ()
     """Estimates of each sensor; for a change its size in the sensor that changed."""
+    group: str = ""
+    """The column and the word of a group."""
     since: str = ""
     """First session after a change."""
     sessions: tuple[SessionEstimate, ...] = ()
@@ -107,7 +110,7 @@ class FleetFindings:
     readings: int
     """Numbers of vehicles, sensors, sessions and readings."""
     effects: tuple[FleetEffect, ...]
-    """What was found, and if nothing was, the sensors' constant offsets."""
+    """What was found, and after that the numbers of the model in which nothing was."""
     found: int
     """How many of them are findings."""
     left_out: tuple[LeftOut, ...]
@@ -121,6 +124,11 @@ class FleetFindings:
     date: str
     version: str
     """Random seed, date and version of the program."""
+
+    @property
+    def shown(self) -> tuple[FleetEffect, ...]:
+        """What pictures and tables show: the findings, and if nothing was found, the first of the other numbers."""
+        return self.effects[: max(self.found, 1)]
 
     def as_json(self) -> str:
         """All findings as text in JSON."""
@@ -157,6 +165,7 @@ class FleetFindings:
                     "fleet_low": _digits(effect.low),
                     "fleet_high": _digits(effect.high),
                     "between_vehicles_std": _digits(effect.tau),
+                    "group": effect.group,
                 }
 
 

@@ -17,7 +17,7 @@ ROW_IN = 0.19
 
 def draw_fleet(findings: FleetFindings) -> Figure:
     """A panel for each number, a row for each sensor; of a change its sessions."""
-    effects = findings.effects[:MAX_PANELS]
+    effects = findings.shown[:MAX_PANELS]
     rows = max(min(len(effect.estimates), MAX_ROWS) for effect in effects)
     figure, panels = new_panels(max(1.1 + ROW_IN * rows, 3.0), 1, len(effects))
     for axes, effect in zip(panels, effects, strict=True):
@@ -42,7 +42,9 @@ def _draw_sensors(axes: Axes, effect: FleetEffect, several: bool) -> None:
     axes.set_yticks(range(len(shown)), names)
     name = effect.name if effect.parameter == "value" else f"{effect.name}, {effect.parameter}"
     axes.set(ylim=(len(shown) - 0.5, -0.5), xlabel=f"{name_of(name)}{effect.unit_label}")
-    axes.set_title({"odd": "odd ones out", "shared": "the whole fleet"}.get(effect.kind, "all sensors"))
+    axes.set_title(
+        {"odd": "odd ones out", "group": effect.group, "shared": "the whole fleet"}.get(effect.kind, "all sensors")
+    )
 
 
 def _own(one: UnitEstimate | SessionEstimate) -> tuple[float, float]:

@@ -29,7 +29,7 @@ def write_files(findings: FleetFindings, folder: Path) -> list[Path]:
         A file cannot be written.
     """
     pictures = pictures_of([("fleet", "", lambda: (draw_fleet(findings), CAPTION))])
-    numbers = [_table(effect, k) for k, effect in enumerate(findings.effects, start=1) if not effect.sessions]
+    numbers = [_table(effect, k) for k, effect in enumerate(findings.shown, start=1) if not effect.sessions]
     page = write_page(
         folder,
         f"{__package__}/fleet.html",
@@ -59,7 +59,7 @@ def _summary(findings: FleetFindings) -> PageTable:
             f"{100.0 * effect.i2:.0f} %" if effect.mean is not None else "",
             ", ".join(f"{estimate.vehicle} {estimate.sensor} {estimate.value:.3g}" for estimate in effect.odd),
         )
-        for effect in findings.effects
+        for effect in findings.shown
     ]
     header = ("finding", "effect", "parameter", "fleet's mean (95 %)", "between vehicles", "I²", "odd ones out")
     caption = "Mean and standard deviation between the ordinary vehicles; I² is how much of the scatter that is."

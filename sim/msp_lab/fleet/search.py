@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from msp_lab.fleet.findings import Kind
-from msp_lab.fleet.statistics import Change, Number, numbers_of
+from msp_lab.fleet.statistics import Change, Number, groups_of, numbers_of
 from msp_lab.fleet.terms import BASE, FleetTerm
 from msp_lab.fleet.unit import Names, OwnEffects, Unit, UnitNumbers, examine, search
 from msp_lab.gap import rules
@@ -45,7 +45,8 @@ class FleetFinding:
 
     kind: Kind
     """``shared``: the whole fleet has it; ``calibration``: so too, and it is a number of the sensor model; ``odd``:
-    some units have it, or more or less of it; ``change`` or ``drift``: it changed in one unit between sessions."""
+    some units have it, or more or less of it; ``group``: so have those that a column tells from the others; ``change``
+    or ``drift``: it changed in one unit between sessions."""
     number: Number
     """The number that it is about, over the fleet."""
     units: frozenset[int] = frozenset()
@@ -83,11 +84,14 @@ class FleetSearch:
     def __post_init__(self) -> None:
         self.terms: list[tuple[FleetTerm, ...]] = [() for _ in self.units]
         self.numbers = list(self.first)
-        # Of each unit the numbers of the base, whether it has an effect, and whether a number changed.
-        compared, asked = len(BASE) * len(self.units), sum(unit.asked for unit in self.first)
-        self.tests = 2 * compared + asked
+        self.vehicles = [unit.vehicle for unit in self.units]
+        self.groups = groups_of(self.first, self.vehicles)
+        # Of each unit and group the numbers of the base; of each unit whether it has an effect, or a number changed.
+        compared = len(BASE) * (len(self.units) + len(self.groups))
+        changes, asked = len(BASE) * len(self.units), sum(unit.asked for unit in self.first)
+        self.tests = compared + changes + asked
         self.number_level = float(np.log(COMPARED_SHARE * self.fdr / compared))
-        self.search_level = float(np.log((1.0 - COMPARED_SHARE) * self.fdr / (compared + asked)))
+        self.search_level = float(np.log((1.0 - COMPARED_SHARE) * self.fdr / (changes + asked)))
 
     def all(self) -> list[FleetFinding]:
         """All findings, the simplest explanation first."""
@@ -102,7 +106,7 @@ class FleetSearch:
 
     def compared(self, units: Sequence[UnitNumbers]) -> dict[FleetTerm, Number]:
         """Every number of these units, each compared with that of the others."""
-        return numbers_of(units, self.number_level)
+        return numbers_of(units, self.number_level, self.vehicles, self.groups)
 
     def _own(self, places: Iterable[int]) -> list[OwnEffects]:
         """Searches of the gap workflow in these units, each for effects in addition to its terms."""
@@ -154,6 +158,10 @@ class FleetSearch:
         while names := named_by(left):
             best = names[0]
             _, number = self._with(best.term)
+            apart = None if number is None else number.apart
+            if number is not None and apart is not None and apart.group.units.intersection(best.units):
+                self.found.append(FleetFinding("group", number, apart.group.units, near(best, names)))
+                self._fit(apart.group.units, best.term)
             if number is not None and (odd := number.odd.intersection(best.units)):
                 self.found.append(FleetFinding("odd", number, odd, near(best, names)))
                 self._fit(odd, best.term)
@@ -180,6 +188,10 @@ class FleetSearch:
         first, last = self.compared(self.first), self.compared(self.numbers)
         for term, number in last.items():
             before = first.get(term, number)
+            for one, explained in ((before, False), (number, True)):
+                if one.apart is not None and (one.apart.group.units - changed <= known) == explained:
+                    self.found.append(FleetFinding("group", one, one.apart.group.units))
+                    break
             odd = ((before.odd - known) | (number.odd & known)) - changed
             if odd:
                 self.found.append(FleetFinding("odd", number if odd <= known else before, odd))

@@ -11,9 +11,10 @@ on; all are odd down to the last one that the remaining ones do not explain (gen
 25:165).
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.stats import norm
@@ -36,6 +37,31 @@ MIN_SESSIONS = 4
 is a change."""
 MIN_SIDE = 2
 """Sessions before and after a change. One flight that differs is no change of the vehicle."""
+MIN_GROUP = 2
+"""Vehicles inside and outside of a group. One alone is compared as a vehicle."""
+WITHOUT_ONE_LOG_P = float(np.log(0.01))
+"""A group differs with this probability or less without any one of its vehicles too. Higher: of a group of two the one
+that is odd makes both differ. Lower: groups of three are missed."""
+
+
+class Group(NamedTuple):
+    """Vehicles of which a column has the same word all over, which others do not have."""
+
+    name: str
+    """Columns and words: of several that say the same, all of them."""
+    units: frozenset[int]
+    """Indices of the units."""
+
+
+@dataclass(frozen=True)
+class Apart:
+    """How far a group is from the others in a number."""
+
+    group: Group
+    size: float
+    """Mean of the group less that of the others."""
+    log_p: float
+    """Logarithm of its two-sided p-value."""
 
 
 @dataclass(frozen=True)
@@ -93,12 +119,19 @@ class Number:
     omega: float
     """Standard deviation between sessions of one unit."""
     fleet: Pooled
-    """Mean, spread, and how far each unit is off."""
+    """Mean, spread, and how far each unit is off; of a group that is apart, from what the others and that predict."""
+    apart: Apart | None = None
+    """The group that is apart; None: none."""
 
     @property
     def odd(self) -> frozenset[int]:
         """Indices of the odd units."""
         return frozenset(self.units[self.fleet.odd].tolist())
+
+    @property
+    def shift(self) -> Array:
+        """By how much each unit is apart with its group, (k,)."""
+        return shift_of(self.apart, self.units)
 
     def changes(self) -> dict[int, Change]:
         """The likeliest change or drift of each unit that has sessions enough."""
@@ -109,7 +142,39 @@ class Number:
         return {unit: change for unit, change in found.items() if change is not None}
 
 
-def numbers_of(units: Sequence[UnitNumbers], level: float) -> dict[FleetTerm, Number]:
+def groups_of(units: Sequence[UnitNumbers], vehicles: Sequence[str]) -> tuple[Group, ...]:
+    """Groups of vehicles by the columns that have one word in all readings of each vehicle.
+
+    Parameters
+    ----------
+    units, vehicles
+        Numbers and vehicle of each unit.
+    """
+    words = [dict(unit.words) for unit in units]
+    names: dict[frozenset[int], list[str]] = {}
+    for column in sorted(set.intersection(*map(set, words))):
+        own = [word[column] for word in words]
+        by_vehicle = dict(zip(vehicles, own, strict=True))
+        if any(by_vehicle[vehicle] != word for vehicle, word in zip(vehicles, own, strict=True)):
+            continue
+        counts = Counter(by_vehicle.values())
+        # Of two words both say the same: the one of fewer vehicles.
+        for word in sorted(counts, key=counts.__getitem__)[: 1 if len(counts) == 2 else None]:
+            if MIN_GROUP <= counts[word] <= len(by_vehicle) - MIN_GROUP:
+                inside = frozenset(k for k, each in enumerate(own) if each == word)
+                names.setdefault(inside, []).append(f"{column} {word}")
+    return tuple(Group(" or ".join(name), inside) for inside, name in names.items())
+
+
+def shift_of(apart: Apart | None, units: Indices) -> Array:
+    """By how much units are apart with their group, (k,)."""
+    size, inside = (0.0, frozenset[int]()) if apart is None else (apart.size, apart.group.units)
+    return np.where(np.isin(units, list(inside)), size, 0.0)
+
+
+def numbers_of(
+    units: Sequence[UnitNumbers], level: float, vehicles: Sequence[str] = (), groups: Sequence[Group] = ()
+) -> dict[FleetTerm, Number]:
     """Every number that more than `MIN_OTHERS` units have. Terms that differ only in where their fits start are one.
 
     Parameters
@@ -117,25 +182,78 @@ def numbers_of(units: Sequence[UnitNumbers], level: float) -> dict[FleetTerm, Nu
     units
         Their numbers.
     level
-        Logarithm of the p-value that an odd unit has at most.
+        Logarithm of the p-value that an odd unit, or a group, has at most.
+    vehicles
+        Of each unit; needed with groups.
+    groups
+        Of these vehicles.
     """
     series: dict[FleetTerm, dict[int, Sessions]] = {}
     for k, unit in enumerate(units):
         for term, sessions in unit.numbers:
             series.setdefault(term.anywhere, {})[k] = sessions
-    return {term: _number(term, of, level) for term, of in series.items() if len(of) > MIN_OTHERS}
+    return {term: _number(term, of, level, vehicles, groups) for term, of in series.items() if len(of) > MIN_OTHERS}
 
 
-def _number(term: FleetTerm, of_units: dict[int, Sessions], level: float) -> Number:
+def _number(
+    term: FleetTerm, of_units: dict[int, Sessions], level: float, vehicles: Sequence[str], groups: Sequence[Group]
+) -> Number:
     series = tuple(of_units.values())
     omega2 = between_sessions(series)
     value, error = np.array([sessions.estimate(omega2) for sessions in series]).T
-    if not term.is_base and candidate_of(term).one_sided:
+    if not term.is_base and candidate_of(term).linear:
         # The variance of a share is in proportion to it: a small one is known no better than the others' would be.
         error *= np.sqrt(np.maximum(np.median(value) / np.maximum(value, error), 1.0))
-    return Number(
-        term, np.array(list(of_units)), series, value, error, float(np.sqrt(omega2)), pooled(value, error, level)
-    )
+    units = np.array(list(of_units))
+    own = [vehicles[k] for k in units] if groups else []
+    every = (apart_of(value, error, units, own, group, level) for group in groups)
+    apart = min((one for one in every if one.log_p <= level), key=lambda one: one.log_p, default=None)
+    fleet = pooled(value - shift_of(apart, units), error, level)
+    return Number(term, units, series, value, error, float(np.sqrt(omega2)), fleet, apart)
+
+
+def apart_of(
+    values: Array, errors: Array, units: Indices, vehicles: Sequence[str], group: Group, level: float
+) -> Apart:
+    """How far a group is from the others, by Student's t over vehicles, with the spread that both have.
+
+    Vehicles that are odd next to their group's median are left out.
+
+    Parameters
+    ----------
+    values, errors, units, vehicles
+        Of the units that have the number, (k,).
+    group
+        Vehicles.
+    level
+        Logarithm of the p-value that an odd unit has at most.
+    """
+    _, of = np.unique(vehicles, return_inverse=True)
+    count = np.bincount(of)
+    value, error = np.bincount(of, values) / count, np.sqrt(np.bincount(of, errors**2)) / count
+    inside = np.bincount(of, np.isin(units, list(group.units))) > 0.0
+    if not _has_both(inside):
+        return Apart(group, 0.0, 0.0)
+    middle = np.where(inside, np.median(value[inside]), np.median(value[~inside]))
+    ordinary = ~pooled(value - middle, error, level).odd
+    value, error, inside = value[ordinary], error[ordinary], inside[ordinary]
+    if not _has_both(inside):
+        return Apart(group, 0.0, 0.0)
+    size, log_p = _difference(value, error, inside)
+    others = (np.arange(value.size) != k for k in np.flatnonzero(inside))
+    sure = max(_difference(value[k], error[k], inside[k])[1] for k in others) <= WITHOUT_ONE_LOG_P
+    return Apart(group, size, log_p if sure else 0.0)
+
+
+def _has_both(inside: Flags) -> bool:
+    """Whether enough vehicles are inside and outside."""
+    return bool(min(inside.sum(), (~inside).sum()) >= MIN_GROUP)
+
+
+def _difference(values: Array, errors: Array, inside: Flags) -> tuple[float, float]:
+    """Difference of the means inside and outside, and the logarithm of its p-value."""
+    fit = _fit(values, errors, np.column_stack([np.ones(values.size), inside]))
+    return float(fit.coefficients[1]), _log_p(fit.coefficients[1] / np.sqrt(fit.covariance[1, 1]), fit.freedom)
 
 
 def pooled(values: Array, errors: Array, level: float) -> Pooled:
@@ -183,11 +301,11 @@ def _log_p(t: float, freedom: int) -> float:
     return min(float(np.log(2.0) + student.logsf(abs(t), freedom)), 0.0)
 
 
-def _fit(values: Array, errors: Array) -> PointsFit:
-    """Mean and variance between vehicles, fitted in units of the scatter, since numbers of effects may be of any
-    magnitude."""
+def _fit(values: Array, errors: Array, design: Array | None = None) -> PointsFit:
+    """Mean, or what else the design says, and variance between vehicles, fitted in units of the scatter, since numbers
+    of effects may be of any magnitude."""
     size = max(float(np.std(values)), float(np.median(errors)))
-    fit = fit_points(np.ones((values.size, 1)), values / size, (errors / size) ** 2)
+    fit = fit_points(np.ones((values.size, 1)) if design is None else design, values / size, (errors / size) ** 2)
     return PointsFit(fit.coefficients * size, fit.covariance * size**2, fit.between * size**2, fit.freedom)
 
 

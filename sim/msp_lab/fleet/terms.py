@@ -13,7 +13,7 @@ from msp_sim.model.model import Term
 
 _FINDINGS = {
     "offset": "readings are {value:too far|too near}",
-    "scatter": "readings scatter {value:times}",
+    "scatter": "readings scatter {value:times much}",
     "short": "short readings come {value:times}",
     "missed": "missed echoes come {value:times}",
     "random": "readings at random ranges come {value:times}",
@@ -62,8 +62,8 @@ class FleetTerm:
 
     @property
     def is_base(self) -> bool:
-        """Whether it is a number that every sensor has."""
-        return self.effect in BASE
+        """Whether it is a number that every sensor has: `missed` is the name of one, and of an effect."""
+        return self.effect in BASE and self.number == "value"
 
     @property
     def catalogued(self) -> Effect:

@@ -9,6 +9,7 @@ Everything is asked of the gap workflow: the joint fit of base and terms, and it
 
 import pickle
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -19,10 +20,11 @@ import numpy as np
 from msp_lab.fleet.terms import BASE, FleetTerm, candidate_of, term_of
 from msp_lab.gap.candidates import CandidateEffect, SelectedTerm
 from msp_lab.gap.intake import read_readings, with_least_weights
+from msp_lab.gap.prepared import CHANNELS, ODDS_CHANNELS
 from msp_lab.gap.problem import Problem, State, screened, with_candidate
-from msp_lab.gap.refit import JointFit, sums_by
+from msp_lab.gap.refit import JointFit, inverse, sums_by
 from msp_lab.gap.search import Selection, add_effects, settled
-from msp_range.arrays import Array, numbered
+from msp_range.arrays import Array, Column, numbered
 from msp_range.errors import UserError
 from msp_sim.model.model import Model
 
@@ -93,6 +95,8 @@ class UnitNumbers:
     """Number of effects that the readings can show."""
     untestable: tuple[tuple[str, tuple[str, ...]], ...]
     """Effects that lack a column, with the columns."""
+    words: tuple[tuple[str, str], ...] = ()
+    """Columns of words that are one word in all readings, such as a batch, with the word."""
 
 
 Names = tuple[tuple[FleetTerm, float], ...]
@@ -129,15 +133,13 @@ def examine(model: Model, task: tuple[Unit, tuple[FleetTerm, ...]]) -> UnitNumbe
     readings = np.bincount(here)
     of_terms = [fit.names.index(f"{k}.{term.number}") for k, term in enumerate(terms)]
     places = [*range(len(BASE)), *of_terms]
-    # Odds that ended at their bound are those of a kind of reading that hardly ever came: no number to compare. A share
-    # that did is as near to it as the slope there says.
-    at_bound = [place for place in of_terms if fit.at.held[place]]
-    covariance = fit.covariance()
-    covariance[at_bound, at_bound] = 1.0 / np.maximum(np.diag(fit.at.information), fit.at.gradient**2)[at_bound]
+    covariance, expected = _covariance(
+        fit, [(place, candidate_of(term)) for place, term in zip(of_terms, terms, strict=True)]
+    )
     moved = fit.at.scores @ covariance[:, places]
     share = readings / len(here)
     value = fit.values[places] + sums_by(here, moved) / share[:, None]
-    variance = np.maximum(sums_by(here, moved**2) / share[:, None] ** 2, np.diag(covariance)[places] / share[:, None])
+    variance = np.maximum(sums_by(here, moved**2) / share[:, None] ** 2, expected[places] / share[:, None])
     of_all = (*(FleetTerm(name, "value") for name in BASE), *terms)
     numbers = [
         (term, Sessions(*own, share)) for term, own in zip(of_all, zip(value.T, variance.T, strict=True), strict=True)
@@ -153,7 +155,47 @@ def examine(model: Model, task: tuple[Unit, tuple[FleetTerm, ...]]) -> UnitNumbe
         gain_nats,
         len({(*candidate.key, candidate.parameter.name) for candidate in _asked(problem)}),
         problem.untestable,
+        tuple((name, str(column[0])) for name, column in problem.contexts.items() if _is_one_word(name, column)),
     )
+
+
+def _is_one_word(name: str, column: Column) -> bool:
+    """Whether a column has the same known word in all readings, and not by being of one sensor."""
+    words = np.unique(column).tolist() if column.dtype.kind == "U" and name not in ("run", "sensor") else []
+    return len(words) == 1 and words[0] != ""
+
+
+def _covariance(fit: JointFit, of_terms: Sequence[tuple[int, CandidateEffect]]) -> tuple[Array, Array]:
+    """Covariance of a fit's numbers by which a step is taken, and their variances.
+
+    Both are 0 for numbers of the base that are held, and for those that no reading depends on.
+
+    A term that ended at its bound is free: one step goes on beyond it, where the number is no share. With the bound as
+    their estimate, and what is left on this side of it as their error, half of the vehicles would be equal and certain,
+    and what the others scatter would be odd.
+    """
+    information, held = fit.at.information.copy(), fit.at.held.copy()
+    first_odds = CHANNELS.index(ODDS_CHANNELS[0])
+    odds = [(place, place) for place in range(first_odds, len(CHANNELS))]
+    for place, candidate in of_terms:
+        if held[place] and candidate.linear:
+            # No reading is likelier with less than none of a kind: the share is as near to 0 as the slope there says.
+            own = max(information[place, place], fit.at.gradient[place] ** 2)
+            information[place] = information[:, place] = 0.0
+            information[place, place] = own
+        held[place] = False
+        if candidate.odds is not None:
+            odds.append((place, first_odds + candidate.odds - 1))
+    least = np.zeros(len(held))
+    for place, channel in odds:
+        # Readings that the fit expects and that did not come have no scores to square: each is worth its probability.
+        # What came n times is known as of n and a half of them.
+        by, share = fit.here.by[:, channel], fit.here.shares[:, channel - first_odds]
+        template = np.divide(fit.at.scores[:, place], by, out=np.zeros_like(by), where=by != 0.0)
+        information[place, place] += max(-float(template**2 @ by), 0.0)
+        least[place] = 1.0 / (float(template**2 @ (share + by)) + 0.5)
+    covariance = inverse(information * np.outer(~held, ~held))
+    return covariance, np.maximum(np.diag(covariance), least * (np.diag(covariance) > 0.0))
 
 
 def _asked(problem: Problem) -> tuple[CandidateEffect, ...]:

@@ -47,6 +47,8 @@ def line_of(effect: FleetEffect, findings: FleetFindings) -> str:
         return f"{names} drifted: from its first session to its last, {effect.plain}{other}"
     if effect.kind == "odd":
         return f"{count} of {findings.vehicles} vehicles differ{'s' * (count == 1)}: {effect.plain}{other}: {names}"
+    if effect.kind == "group":
+        return f"the vehicles of {effect.group} differ from the others: {effect.plain}{other}: {names}"
     if effect.kind == "shared":
         return f"the whole fleet differs from the model: {effect.plain}{other}"
     return f"in the whole fleet {effect.name.replace('_', ' ')} is another number than the model's: {effect.plain}"
@@ -70,3 +72,13 @@ def left_out_line(findings: FleetFindings) -> str:
     """Who is not in the comparison, and why."""
     parts = [f"{left.vehicle} {left.sensor} ({left.why})" for left in findings.left_out]
     return f"Left out: {and_list(parts)}." if parts else ""
+
+
+def one_session_line(findings: FleetFindings) -> str:
+    """A hint where vehicles have many sensors, of which each has one session: those of tables without a name of it."""
+    if not findings.vehicles < findings.sensors == findings.sessions:
+        return ""
+    return (
+        f"Each of the {findings.sensors} sensors has one session. If they are one sensor of each vehicle, give the "
+        "tables a column 'sensor' with its name: without one each file is a sensor of its own."
+    )

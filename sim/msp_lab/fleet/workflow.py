@@ -14,7 +14,6 @@ import msp_range
 from msp_lab.fleet.findings import FleetEffect, FleetFindings, LeftOut, SessionEstimate, UnitEstimate
 from msp_lab.fleet.search import FleetFinding, FleetSearch
 from msp_lab.fleet.statistics import Change, shrunk
-from msp_lab.fleet.terms import FleetTerm
 from msp_lab.fleet.unit import Unit, UnitNumbers, examine
 from msp_lab.fleet.vehicles import MIN_VEHICLES, units_of
 from msp_lab.fleet.words import plain_of, sentence_of
@@ -22,8 +21,6 @@ from msp_range.recording.error import RecordingError
 from msp_sim.model.model import load_model
 from msp_sim.workers import Workers
 
-OFFSET = FleetTerm("offset", "value")
-"""The number whose estimates are shown if nothing was found."""
 TWO_SIDED_95 = 1.959964
 """Standard errors on either side of a 95 % interval."""
 
@@ -61,9 +58,11 @@ def find_in_fleet(
     vehicles = _vehicles(dataset, units, left_out)
     numbers = [made.value for _, made in outcomes if made.value is not None]
     search = FleetSearch(units, numbers, fdr, run)
-    nothing = FleetFinding("calibration", search.compared(numbers)[OFFSET])
-    order = {"odd": 0, "change": 1, "drift": 1, "shared": 2, "calibration": 3}
-    effects = sorted((_effect(search, finding) for finding in search.all()), key=lambda effect: order[effect.kind])
+    order = {"group": 0, "odd": 0, "change": 1, "drift": 1, "shared": 2, "calibration": 3}
+    found = sorted(search.all(), key=lambda finding: order[finding.kind])
+    known = {finding.number.term for finding in found if finding.change is None}
+    compared = search.compared(numbers)
+    others = [FleetFinding("compared", number) for term, number in compared.items() if term not in known]
     findings = FleetFindings(
         sentence="",
         dataset=str(dataset),
@@ -72,8 +71,8 @@ def find_in_fleet(
         sensors=len(units),
         sessions=sum(len(unit.sessions) for unit in numbers),
         readings=sum(unit.readings for unit in numbers),
-        effects=tuple(effects) or (_effect(search, nothing),),
-        found=len(effects),
+        effects=tuple(_effect(search, finding) for finding in [*found, *others]),
+        found=len(found),
         left_out=tuple(left_out),
         fdr=fdr,
         tests=search.tests,
@@ -110,13 +109,10 @@ def _effect(search: FleetSearch, finding: FleetFinding) -> FleetEffect:
     if finding.change is not None:
         return _changed(search, finding, finding.change, effect)
     is_odd = np.isin(number.units, list(finding.units))
-    numbers = (
-        number.value,
-        number.error,
-        *shrunk(number.value, number.error, fleet),
-        is_odd,
-        np.exp(fleet.deviation_log_p),
-    )
+    apart = number.apart if finding.kind == "group" else None
+    near, near_error = shrunk(number.value - number.shift, number.error, fleet)
+    log_p = fleet.deviation_log_p if apart is None else np.where(is_odd, apart.log_p, fleet.deviation_log_p)
+    numbers = (number.value, number.error, near + number.shift, near_error, is_odd, np.exp(log_p))
     each_unit = zip(number.units.tolist(), *(column.tolist() for column in numbers), strict=True)
     of_odd = number.value[is_odd].mean() if is_odd.any() else fleet.mean
     shown = float(of_odd - fleet.mean * term.is_base)
@@ -130,6 +126,7 @@ def _effect(search: FleetSearch, finding: FleetFinding) -> FleetEffect:
         tau=fleet.tau,
         i2=fleet.i2,
         omega=number.omega,
+        group="" if apart is None else apart.group.name,
         estimates=tuple(_estimate(search.units[unit], *own) for unit, *own in each_unit),
     )
 

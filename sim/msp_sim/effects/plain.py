@@ -10,6 +10,7 @@ parameter in braces is its number with its unit, in one of these formats:
     {wider:number}                  the number alone
     {growth:factor}                 a growth of 2.9 as 3.9 times as much
     {log_odds:times}                log odds: 20 times as often, 20 times less often
+    {log_sd:times much}             the logarithm of a size: 1.3 times as much, 1.3 times less
     {offset_cm:too far|too near}    the size and words for its sign: 1.5 cm too near, 0.33 s behind
     {share:% too far|% too near}    the same of a share: 98 % too near
 """
@@ -62,10 +63,11 @@ class Quantity:
             return f"{digits(1.0 + self.value)} times as much"
         if form == "of":
             return self._share()
-        if form == "times":
+        if form in ("times", "times much"):
             ratio = math.exp(min(abs(self.value), math.log(MOST_TIMES)))
             many = f"more than {digits(ratio)}" if ratio >= MOST_TIMES else digits(ratio)
-            return f"{many} times {'as' if self.value >= 0.0 else 'less'} often"
+            more, less = ("as often", "less often") if form == "times" else ("as much", "less")
+            return f"{many} times {more if self.value >= 0.0 else less}"
         more, bar, less = form.partition("|")
         if not bar:
             raise ValueError(f"no such format: {form!r}")

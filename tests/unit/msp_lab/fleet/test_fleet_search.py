@@ -172,6 +172,38 @@ def test_a_change_counts_where_no_effect_explains_more(gain_nats: float, kind: s
         assert finding.change.size == pytest.approx(40.0)
 
 
+class OfBatches(Fleet):
+    """The first six vehicles are of batch B."""
+
+    def of(self, k: int, terms: Sequence[FleetTerm]) -> UnitNumbers:
+        return replace(super().of(k, terms), words=(("batch", "B" if k < 6 else "A"),))
+
+
+def test_a_number_in_which_a_batch_differs_is_found_once_for_all_of_it() -> None:
+    fleet = OfBatches(value=lambda k, term: 8.0 * (k < 6) + 20.0 * (k == 9))
+    group, odd = fleet.found()
+    assert (group.kind, group.units) == ("group", frozenset(range(6)))
+    assert (odd.kind, odd.units) == ("odd", frozenset({9}))
+    assert group.number.apart is not None
+    assert group.number.apart.group.name == "batch B"
+
+
+def test_an_effect_that_a_batch_has_is_the_batchs_and_its_number_of_the_base_no_finding_of_its_own() -> None:
+    fleet = OfBatches(
+        lambda k, known: [LATE] * (k < 4 and "latency" not in known),
+        lambda k, term: 14.0 * (k < 6 and term == LATE),
+        lambda k, term: 20.0 * (k < 6),
+    )
+    (finding,) = fleet.found()
+    assert (finding.kind, finding.number.term, finding.units) == ("group", LATE, frozenset(range(6)))
+
+
+def test_groups_share_the_rate_of_the_numbers() -> None:
+    batches = OfBatches()
+    made = FleetSearch(UNITS, [batches.of(k, ()) for k in range(VEHICLES)], 0.05, batches.run)
+    assert made.number_level == pytest.approx(np.log(0.05 / 2.0 / 105.0))
+
+
 def test_what_is_compared_and_what_is_searched_have_half_of_the_rate_each() -> None:
     made = FleetSearch(UNITS, [numbers([(SCATTER, 0.0)])] * VEHICLES, 0.05, Fleet().run)
     # Five numbers of 20 vehicles; 40 effects, and whether a number changed.

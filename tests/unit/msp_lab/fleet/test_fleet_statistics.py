@@ -1,5 +1,6 @@
 """Meta-analysis over a fleet, against published examples and numbers worked by hand."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,22 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from msp_lab.fleet.findings import FleetFindings
-from msp_lab.fleet.statistics import Pooled, between_sessions, left_out, over_sessions, pooled, shrunk
-from msp_lab.fleet.unit import Sessions
+from msp_lab.fleet.statistics import (
+    Group,
+    Number,
+    Pooled,
+    between_sessions,
+    groups_of,
+    left_out,
+    numbers_of,
+    over_sessions,
+    pooled,
+    shrunk,
+)
+from msp_lab.fleet.terms import FleetTerm
+from msp_lab.fleet.unit import Sessions, UnitNumbers
 from msp_lab.fleet.vehicles import units_of
-from msp_lab.fleet.words import sentence_of
+from msp_lab.fleet.words import one_session_line, plain_of, sentence_of
 from msp_range.errors import UserError
 
 LEVEL = float(np.log(0.00025))
@@ -41,6 +54,24 @@ BCG = np.array(
 def test_a_small_fleet_reports_that_its_scatter_hides_much(vehicles: int, says: bool) -> None:
     findings = FleetFindings("", "", "", vehicles, vehicles, 12, 3600, (), 0, (), 0.05, 40, (), 1, "", "")
     assert ("even one that is far off" in sentence_of(findings)) == says
+
+
+@pytest.mark.parametrize(("sensors", "says"), [(32, True), (4, False), (8, False)])
+def test_sensors_of_one_session_each_may_be_one_sensor_without_a_name(sensors: int, says: bool) -> None:
+    findings = FleetFindings("", "", "", 4, sensors, 32, 3600, (), 0, (), 0.05, 40, (), 1, "", "")
+    assert ("give the tables a column 'sensor'" in one_session_line(findings)) == says
+
+
+@pytest.mark.parametrize(
+    ("number", "change", "says"),
+    [
+        ("scatter", 0.2624, "readings scatter 1.3 times as much"),
+        ("scatter", -0.3365, "readings scatter 1.4 times less"),
+        ("missed", -0.3365, "missed echoes come 1.4 times less often"),
+    ],
+)
+def test_sizes_are_larger_and_events_come_more_often(number: str, change: float, says: str) -> None:
+    assert plain_of(FleetTerm(number, "value"), change, with_size=True) == says
 
 
 def bcg() -> tuple[np.ndarray, np.ndarray]:
@@ -142,6 +173,56 @@ def test_an_estimate_as_uncertain_as_the_fleet_is_spread_moves_half_way() -> Non
     near, error = shrunk(values, errors, fleet)
     assert near.tolist() == [-1.0, 0.5, 5.0]
     assert error == pytest.approx([np.sqrt(0.5 * 1.5**2 + 0.25 * 0.25)] * 2 + [1.5])
+
+
+def fleet_of(values: Sequence[float], batches: str) -> list[UnitNumbers]:
+    """Vehicles with these offsets, each with an error of 0.1, and of these batches."""
+    term = FleetTerm("offset", "value")
+    return [
+        UnitNumbers(
+            ((term, Sessions(np.full(4, value), np.full(4, 0.04), np.full(4, 0.25))),), (), 400, 0.0, 40, (), words
+        )
+        for value, words in zip(values, [(("batch", batch), ("maker", "X")) for batch in batches], strict=True)
+    ]
+
+
+def offset_of(values: Sequence[float], batches: str) -> tuple[tuple[Group, ...], Number]:
+    units = fleet_of(values, batches)
+    vehicles = [f"V{k}" for k in range(len(units))]
+    groups = groups_of(units, vehicles)
+    (number,) = numbers_of(units, LEVEL, vehicles, groups).values()
+    return groups, number
+
+
+BATCH = [0.2, -0.5, 4.9, 4.4, 0.4, 5.6, -0.3, 0.0, 0.3, -0.2]
+
+
+def test_a_batch_that_a_column_names_is_told_from_the_others() -> None:
+    groups, number = offset_of(BATCH, "AABBABAAAA")
+    assert groups == (Group("batch B", frozenset({2, 3, 5})),)
+    assert number.apart is not None
+    others = [value for k, value in enumerate(BATCH) if k not in (2, 3, 5)]
+    assert number.apart.size == pytest.approx(np.mean([4.9, 4.4, 5.6]) - np.mean(others), abs=0.02)
+    # It is no vehicle's own, and the others are as sure as without the batch.
+    assert number.odd == frozenset()
+    assert number.fleet.mean == pytest.approx(np.mean(others), abs=0.02)
+    # Nothing is apart without such a column, nor by one that says something else.
+    assert offset_of(BATCH, "A" * 10)[0] == ()
+    assert offset_of(BATCH, "ABABABABAB")[1].apart is None
+
+
+def test_one_odd_vehicle_does_not_make_its_batch_differ() -> None:
+    values = [0.3 * float(value) for value in np.random.default_rng(3).standard_normal(40)]
+    values[0] += 10.0
+    groups, number = offset_of(values, "BB" + "A" * 38)
+    assert [group.units for group in groups] == [frozenset({0, 1})]
+    assert number.apart is None
+    assert number.odd == frozenset({0})
+
+
+def test_a_word_that_sensors_of_a_vehicle_differ_in_makes_no_group() -> None:
+    units = fleet_of(BATCH, "ABABABABAB")
+    assert groups_of(units, [f"V{k // 2}" for k in range(10)]) == ()
 
 
 def sessions(value: np.ndarray, variance: np.ndarray) -> Sessions:

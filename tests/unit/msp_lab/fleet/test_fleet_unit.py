@@ -63,3 +63,47 @@ def test_a_number_of_the_base_is_estimated_in_each_session(unit: Unit) -> None:
     assert error[:3] == pytest.approx(2.0 * of_all, rel=0.3)
     # Where sessions differ by much more than their errors, four of them are known half as well as one.
     assert offset.estimate(100.0)[1] == pytest.approx(5.0, rel=0.01)
+
+
+def drawn(folder: Path, name: str, scale: float, rng: np.random.Generator, without_missed: bool = False) -> Unit:
+    """Four sessions of a vehicle whose ranges are read larger by a factor; if wanted, without its missed echoes."""
+    sessions = tuple(f"{name}/{number}" for number in range(4))
+    for session in sessions:
+        contexts = {"time_s": 0.1 * np.arange(500), "true_range_cm": rng.uniform(60.0, 500.0, 500)}
+        reading_cm = MODEL.sample(contexts, rng)
+        if without_missed:
+            # 255 cm is the damaged form of a missed echo.
+            missed = (reading_cm >= MODEL.sensor.maximum_cm) | (reading_cm == 255.0)
+            reading_cm[missed] = np.rint(contexts["true_range_cm"][missed])
+        reading_cm += np.rint((scale - 1.0) * contexts["true_range_cm"])
+        write_tables(folder, session, {"down": MeasuredData({**contexts, "reading_cm": reading_cm})})
+        record_runs(folder, [session], {"file": f"{session}.csv"})
+    return Unit(folder, name, "down", sessions, 1)
+
+
+def test_a_number_is_compared_beyond_its_bound_too(tmp_path: Path) -> None:
+    """A scale of either sign looks like a walk of the threshold, which by its physics is none below 0."""
+    rng = np.random.default_rng(7)
+    walk = FleetTerm("threshold_walk", "walk_cm_per_10db", shape=(("exponent", 0.0),))
+    units = [drawn(tmp_path, f"V{k}", scale, rng) for k, scale in enumerate((0.992, 1.008))]
+    (near, near_error), (far, far_error) = (
+        dict(examine(MODEL, (unit, (walk,))).numbers)[walk].estimate(0.0) for unit in units
+    )
+    assert far > 5.0 * far_error
+    assert near < -5.0 * near_error
+    assert near_error == pytest.approx(far_error, rel=0.5)
+
+
+def test_odds_of_what_never_came_are_those_of_about_half_an_event(tmp_path: Path) -> None:
+    unit = drawn(tmp_path, "V1", 1.0, np.random.default_rng(7), without_missed=True)
+    value, error = dict(examine(MODEL, (unit, ())).numbers)[FleetTerm("missed", "value")].estimate(0.0)
+    expected = 2000 * MODEL.sensor.reading_model.weights.missed
+    assert expected > 5.0
+    assert np.log(0.5 / expected) < value < -1.0
+    assert 0.5 < error < 1.5
+
+
+def test_an_effect_of_the_same_name_as_a_number_of_the_base_is_another_term() -> None:
+    effect, number = FleetTerm("missed", "log_odds"), FleetTerm("missed", "value")
+    assert (effect.is_base, number.is_base) == (False, True)
+    assert effect.parameter.name == "log_odds"
