@@ -66,7 +66,12 @@ def said(names: list[str], curves: list[str]) -> dict[str, object]:
 def test_what_is_said_is_compared_with_what_was_hidden(
     hidden: list[dict[str, object]], names: list[str], curves: list[str], expected: str
 ) -> None:
-    assert outcome({"effects": hidden}, said(names, curves)) == expected
+    assert outcome({"effects": hidden, "of_runs_cm": 0.2}, said(names, curves)) == expected
+
+
+def test_offsets_of_runs_that_are_there_may_be_named() -> None:
+    assert outcome({"effects": [], "of_runs_cm": 0.5}, said(["run_offsets"], [])) == "right"
+    assert outcome({"effects": [], "of_runs_cm": 0.5}, said(["run_offsets"], ["battery"])) == "wrong"
 
 
 @pytest.mark.parametrize("kind", KINDS)
