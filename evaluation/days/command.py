@@ -15,7 +15,6 @@ from evaluation.second_hand.score import all_in_words, names_of
 from evaluation.second_hand.workflow import run_case
 from evaluation.shares import share_of
 
-
 TOLD_CM = 0.3
 """Offsets of runs of a larger deviation are in the readings, and may be named: the other tables have smaller ones."""
 
