@@ -71,10 +71,10 @@ def test_the_late_vehicle_is_named_on_the_page_in_the_table_and_on_the_terminal(
     (late,) = [each for each in odd[0]["estimates"] if each["odd"]]
     assert late["vehicle"] == "V3"
     assert late["low"] < 200.0 < late["high"]
-    table = (out / "fleet.csv").read_text()
-    assert "latency,delay_ms,ms,V3,down,,yes" in table
+    rows = (out / "fleet.csv").read_text()
+    assert "latency,delay_ms,ms,V3,down,,yes" in rows
     # What nothing was found in is there too, for near misses.
-    assert [table.count(f"compared,{number},value,") for number in BASE] == [6] * len(BASE)
+    assert [rows.count(f"compared,{number},value,") for number in BASE] == [6] * len(BASE)
     assert "V3" in (out / "report.html").read_text()
 
 

@@ -1,5 +1,7 @@
 """Joint refits: slopes against finite differences, errors against scatter, and the model file that comes of a fit."""
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -127,11 +129,11 @@ def test_a_component_with_another_share_is_not_computed_again(monkeypatch: pytes
     contexts = flown(1, 600)
     tails = [make_term("multipath", None, {"share": 0.1, "sigma_cm": 3.0})]
     prepared = Prepared.of(MODEL, contexts, read(contexts, 1))
-    here, asked, prob = prepared.slopes(Base(), tails), [], Normal.prob
-    monkeypatch.setattr(Normal, "prob", lambda *given: asked.append(0) or prob(*given))
+    here, asked = prepared.slopes(Base(), tails), Mock(wraps=Normal.prob)
+    monkeypatch.setattr(Normal, "prob", lambda *given: asked(*given))
     assert prepared.slopes_of(Base(), tails, here).shape == (2, 600)
     # Each of both spreads for the readings, and for what arrives as 255.
-    assert len(asked) == 4
+    assert asked.call_count == 4
 
 
 def test_a_fit_is_at_its_highest_and_its_errors_are_those_of_repetition() -> None:
