@@ -11,7 +11,7 @@ that of the shift by which the two fits differ.
 
 The normal model can put down to offsets what an effect explains as well, above all where blocks of one run stand in for
 runs. So a gain counts for at least what its own scatter over whole runs says: the plain gain over the variance of its
-sums by run, relative to that of as many independent readings, again by Student's t.
+sums by run, relative to that of as many independent readings, again by Student's t, of as many runs as hold it.
 
 A component or a fault of the code changes each reading with its share, whatever happened to the one before. Then the
 slopes of the readings' log probabilities by that share are independent about 0, where the share is fitted and whatever
