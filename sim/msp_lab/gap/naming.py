@@ -218,7 +218,7 @@ def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllRe
     fit = kept.state.fit
     held_out, _ = whole.sampled(problem, np.flatnonzero(splits.held_out), rules.FINAL_ROWS)
     training, _ = whole.sampled(problem, np.flatnonzero(splits.training), rules.READINGS)
-    of_training = refit(training, fit.effects, fit.base)
+    of_training = refit(training, fit.effects, fit.base, reported=True)
     found = kept.state.terms or selection.run_offset_cm > 0.0
     nothing = Base()
     as_given = not found and held_out.log_likelihood(of_training.base, []) <= held_out.log_likelihood(nothing, [])
@@ -226,10 +226,11 @@ def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllRe
     if as_given:
         # No fit starts with the numbers of the model itself: those of correlated readings start off 0.
         fit, of_training = refit(readings, [], nothing, rounds=0), refit(training, [], nothing, rounds=0)
-    elif len(readings) < whole.reading_cm.size:
-        readings, rows = whole.sampled(problem, np.arange(whole.reading_cm.size), rules.FINAL_ROWS)
-        unit = splits.unit[rows]
-        fit = refit(readings, fit.effects, fit.base)
+    else:
+        if len(readings) < whole.reading_cm.size:
+            readings, rows = whole.sampled(problem, np.arange(whole.reading_cm.size), rules.FINAL_ROWS)
+            unit = splits.unit[rows]
+        fit = refit(readings, fit.effects, fit.base, reported=True)
     final = FinalFit.of(readings, fit, unit, by_run)
     fit, (of_training, _) = final.fit, with_constants(training, of_training)
     effects, unknown, calibration = found_terms(problem, selection.base.fit, kept, selection.alternatives, final)

@@ -18,7 +18,7 @@ from msp_lab.gap.candidates import CandidateEffect, SelectedTerm, candidates_of
 from msp_lab.gap.curve_test import Asked, asked_of
 from msp_lab.gap.evidence import clumping, evidence_nats, of_one_run, wanders
 from msp_lab.gap.prepared import BASE, Prepared
-from msp_lab.gap.refit import JointFit, base_precision, fit_base, refit
+from msp_lab.gap.refit import JointFit, fit_base, refit
 from msp_lab.gap.runs import Dependence, dependence, previous, sample, share_between, spacing_s, taken
 from msp_lab.gap.screen import Screen, best_by_score, information_of, replicate, score_sums, screen
 from msp_lab.readings.intake import PREVIOUS
@@ -127,15 +127,16 @@ class Problem:
         """How many runs there are."""
         return np.unique(self.unit).size
 
-    def prior(self, base: Base) -> Array:
+    @property
+    def prior(self) -> Array:
         """Precision of the base's prior for each reading that is refitted, (8,)."""
-        return base_precision(base) / len(self.readings)
+        return 1.0 / (np.square(rules.BASE_DEVIATION) * len(self.readings))
 
     def information(self, fit: JointFit) -> Array:
         """Information per reading at a fit, from simulated readings and the base's prior."""
         drawn = replicate(self.model, fit.base, fit.effects, self.contexts, self.rng, spacing_s=self.readings.spacing_s)
         information = information_of(drawn, fit.base, fit.effects, self.candidates)
-        information[: len(BASE), : len(BASE)] += np.diag(self.prior(fit.base))
+        information[: len(BASE), : len(BASE)] += np.diag(self.prior)
         return information
 
     def dependence(self, fit: JointFit) -> Dependence:
@@ -281,9 +282,7 @@ def screened(problem: Problem, state: State, by_run: bool = False) -> Screen:
     fit, candidates, information = state.fit, problem.candidates, state.information
     accepted = [nearest_candidate(problem, term) for term in state.terms if term.candidate is not None]
     nuisance = np.array([*np.flatnonzero(~fit.at.held[: len(BASE)]), *(len(BASE) + j for j in accepted)])
-    sums = score_sums(
-        problem.readings, fit.base, fit.here, candidates, problem.unit, information, problem.prior(fit.base)
-    )
+    sums = score_sums(problem.readings, fit.base, fit.here, candidates, problem.unit, information, problem.prior)
     return screen(sums, information, candidates, nuisance, by_run, problem.alpha, problem.rng)
 
 

@@ -160,6 +160,7 @@ def refit(
     effects: Sequence[Term],
     start: Base | None = None,
     rounds: int = ROUNDS,
+    reported: bool = False,
 ) -> JointFit:
     """Fit base and effects together.
 
@@ -173,6 +174,9 @@ def refit(
         Of the base; the given model's unless given.
     rounds
         At most.
+    reported
+        Whether the fit is the one that is reported. In the search a spread far from the model's is something to
+        explain, and a normal prior holds it; that of a reported one, ``log(1 + x^2 / (2 d^2))``, hardly holds it there.
     """
     effects = [_off_neutral(term) for term in effects]
     numbers = free_numbers(effects)
@@ -182,20 +186,25 @@ def refit(
         correlated = prepared.spacing_s is not None
         start = Base(correlation=max(FIRST_CORRELATION - _correlation(prepared), 0.0) if correlated else 0.0)
     of_numbers = np.array([rules.CURVE_PRECISION if _is_open_ended(effects[k], p) else 0.0 for k, p in numbers])
-    deviation = np.array(rules.BASE_DEVIATION)
+    spread = BASE.index("log_sigma")
 
     def placed(at: Array) -> tuple[Base, tuple[Term, ...]]:
         return Base(*at[:nb].tolist()), with_values(effects, numbers, at[nb:])
 
     def total(at: Array) -> tuple[float, ChannelSlopes]:
         here = prepared.slopes(*placed(at))
-        taken = np.log1p(0.5 * (at[:nb] / deviation) ** 2).sum() + 0.5 * of_numbers @ at[nb:] ** 2
-        return float(here.log_p.sum() - taken), here
+        taken = 0.5 * np.square(at[:nb] / np.array(rules.BASE_DEVIATION))
+        if reported:
+            taken[spread] = np.log1p(taken[spread])
+        return float(here.log_p.sum() - taken.sum() - 0.5 * of_numbers @ at[nb:] ** 2), here
 
     def slopes(at: Array, here: ChannelSlopes) -> NumberSlopes:
         base, terms = placed(at)
         scores = np.column_stack([here.by, prepared.slopes_of(base, terms, here).T])
-        precision = np.concatenate([base_precision(base), of_numbers])
+        variance = np.square(rules.BASE_DEVIATION)
+        if reported:
+            variance[spread] += 0.5 * base.log_sigma**2
+        precision = np.concatenate([1.0 / variance, of_numbers])
         gradient = scores.sum(axis=0) - precision * at
         information = scores.T @ scores + np.diag(precision)
         return NumberSlopes(scores, gradient, information, held_numbers(at, gradient, information, low, high))
@@ -213,16 +222,6 @@ def refit(
             at, best, here = climb(theta, bounds, ENOUGH_NATS, rounds)
     names = tuple([f"base.{name}" for name in BASE] + [f"{k}.{p.name}" for k, p in numbers])
     return JointFit(*placed(at), best, names, at, bounds, here, partial(slopes, at, here))
-
-
-def base_precision(base: Base) -> Array:
-    """Precision of the prior of the base's numbers where they are, (8,): its slope is less that times the number.
-
-    ``log(1 + x^2 / (2 d^2))`` is that of a normal distribution of deviation d near the model file and, as a t of one
-    degree of freedom, hardly anything far off: a spread that is three times the file's is no reason to report less.
-    """
-    precision: Array = 1.0 / (np.square(rules.BASE_DEVIATION) + 0.5 * np.square(base))
-    return precision
 
 
 def _correlation(prepared: Prepared) -> float:

@@ -228,7 +228,7 @@ BASE_BOUND = Base(20.0, 3.0, 12.0, 12.0, 12.0, 4.0, 1.0, 1.0)
 """The base may move so far: cm, logarithms of spread and odds, of the short readings' rate, the saturated share, the
 correlation. What is farther is another sensor. Wider: fits that end at nonsense."""
 BASE_DEVIATION = Base(1.0, 0.15, 1.0, 1.0, 1.0, 0.5, 0.2, 1.0)
-"""Standard deviations of the prior that holds the base near the model file (`refit.base_precision`). About how far a
+"""Standard deviations of the prior that holds the base near the model file (`refit`). About how far a
 characterised base is off; a table of 1,000 readings is 30 times as certain. Narrower: effects take what is calibration;
 wider: what the readings cannot tell drifts."""
 CURVE_PRECISION = 0.05

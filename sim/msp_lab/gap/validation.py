@@ -21,7 +21,7 @@ from msp_lab.gap.cell_fits import outer_sums
 from msp_lab.gap.evidence import offsets_of
 from msp_lab.gap.prepared import BASE
 from msp_lab.gap.problem import Problem, State, without
-from msp_lab.gap.refit import JointFit, base_precision, inverse, refit, sums_by
+from msp_lab.gap.refit import JointFit, inverse, refit, sums_by
 from msp_lab.gap.runs import Splits
 from msp_range.arrays import Array, Column, Flags, Indices
 
@@ -211,7 +211,7 @@ class CrossFits:
             for place in (2, 3)
         )
         fitted, whole = np.array([score.base for score in scores]), information.sum(axis=0)
-        prior = np.where(np.diag(whole) > 0.0, base_precision(self.fit.base)[self.of_base], 0.0)
+        prior = np.where(np.diag(whole) > 0.0, 1.0 / np.square(rules.BASE_DEVIATION)[self.of_base], 0.0)
         towards = (slope + np.einsum("kij,kj->ki", information, fitted)).sum(axis=0)
         moved = inverse(whole + np.diag(prior)) @ towards - fitted
         # Without what the priors take: an effect may move the base by more than they expect.
