@@ -149,6 +149,10 @@ def test_a_gain_over_blocks_of_one_run_counts_at_least_by_its_own_scatter() -> N
     by_offsets = plain + offsets_of(larger, unit).nats - offsets_of(smaller, unit).nats
     assert by_scatter > by_offsets
     assert evidence_nats(smaller, larger, unit) == pytest.approx(by_scatter, rel=1e-6)
+    # Blocks of one run are all of them.
+    of_blocks = 0.5 * norm.isf(student.sf(np.sqrt(2.0 * plain / variance), 40 - 2)) ** 2
+    assert evidence_nats(smaller, larger, unit, of_blocks=True) == pytest.approx(of_blocks, rel=1e-6)
+    assert of_blocks > by_scatter + 0.5
 
 
 @pytest.mark.slow

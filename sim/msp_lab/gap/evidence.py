@@ -154,7 +154,7 @@ def blocks_of(unit: Indices, parts: int = rules.WANDER_BLOCKS) -> Indices:
     return unit * parts + places_in(unit) * parts // np.bincount(unit)[unit]
 
 
-def evidence_nats(smaller: JointFit, larger: JointFit, unit: Indices | None) -> float:
+def evidence_nats(smaller: JointFit, larger: JointFit, unit: Indices | None, of_blocks: bool = False) -> float:
     """Gain of the larger fit over the smaller one [nat].
 
     Parameters
@@ -163,6 +163,8 @@ def evidence_nats(smaller: JointFit, larger: JointFit, unit: Indices | None) -> 
         Fits of the same readings.
     unit
         Run of each reading; None: readings are independent, and the gain is that of the log-likelihood.
+    of_blocks
+        Whether blocks of one run stand in for runs: what it has passed once, as a box, is in a few of them.
     """
     plain = larger.log_likelihood - smaller.log_likelihood
     if unit is None:
@@ -175,7 +177,7 @@ def evidence_nats(smaller: JointFit, larger: JointFit, unit: Indices | None) -> 
         between = min(gained - inside, _means_nats(smaller, larger, unit, of_larger.variance_cm2))
         gained = inside / wander_inflation(smaller, larger, unit) + _between(between, runs)
     inflation, known_from = _scatter(larger.here.log_p - smaller.here.log_p, unit)
-    return max(gained, _by_scatter(plain / inflation, known_from))
+    return max(gained, _by_scatter(plain / inflation, runs if of_blocks else known_from))
 
 
 def lead_nats(one: JointFit, other: JointFit, unit: Indices | None) -> float:

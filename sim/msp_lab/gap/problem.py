@@ -153,7 +153,8 @@ class Problem:
             return evidence_nats(smaller, larger, None)
         left = self.dependence(larger)
         follow = left.lag_correlation if left.lag_z > rules.DEPENDENT_LAG_Z else 0.0
-        gained = evidence_nats(self.at_correlation(smaller, larger.base), larger, self.unit)
+        of_blocks = np.unique(self.run).size < self.runs
+        gained = evidence_nats(self.at_correlation(smaller, larger.base), larger, self.unit, of_blocks)
         return gained * (1.0 - follow) / (1.0 + follow)
 
     def at_correlation(self, fit: JointFit, base: Base) -> JointFit:
