@@ -1,5 +1,7 @@
 """Correlated noise through the gap workflow's parts: simulated replicates, measures, and the picture of the PIT."""
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -138,3 +140,27 @@ def test_a_gain_counts_less_where_neighbours_still_follow_each_other(correlation
     left = problem.dependence(larger).lag_correlation
     assert (left > 0.1) == (correlation > 0.0)
     assert counted == pytest.approx(whole * (1.0 - left) / (1.0 + left) if correlation else whole)
+
+
+def test_an_offset_of_one_run_is_judged_by_what_the_others_scatter_and_not_by_runs_as_well() -> None:
+    contexts = flown(9, 200)
+    off_cm = np.where(contexts["run"] == "run 3", 1.5, 0.0)
+    reading_cm = np.rint(model(0.0).sample(contexts, np.random.default_rng(1)) + off_cm)
+    problem = Problem.of(model(0.0), contexts, reading_cm, numbered(contexts["run"]), np.random.default_rng(2))
+    (candidate,) = [each for each in problem.candidates if each.key == ("session_offset", "run 3")]
+    larger = problem.refit([candidate.at(1.5)], problem.base.base)
+    counted = problem.candidate_nats(problem.base, larger, candidate, by_run=True)
+    assert counted == problem.candidate_nats(problem.base, larger, candidate, by_run=False)
+    assert counted > 8.0
+
+
+def test_blocks_that_stand_in_for_runs_are_said_to_be_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What one run has passed once is in few of them: a scatter over them is known from all."""
+    contexts = flown(6, 200)
+    reading_cm = model(0.0).sample(contexts, np.random.default_rng(1))
+    unit, asked = numbered(contexts["run"]), Mock(return_value=1.0)
+    monkeypatch.setattr("msp_lab.gap.problem.evidence_nats", asked)
+    for run, of_blocks in ((contexts["run"], False), (np.full(1200, "flight"), True)):
+        problem = Problem.of(model(0.0), {**contexts, "run": run}, reading_cm, unit, np.random.default_rng(2))
+        problem.evidence_nats(problem.base, problem.base, by_run=True)
+        assert asked.call_args.args[-1] is of_blocks

@@ -138,11 +138,11 @@ def test_an_offset_of_a_run_is_integrated_out_of_its_score() -> None:
         log_p -= 0.5 * offsets**2 / variance_cm2 + 0.5 * np.log(2.0 * np.pi * variance_cm2)
         return float(np.log(np.exp(log_p + 70.0).sum() * 1e-3) - 70.0)
 
-    beside = score.beside_offsets(variance_cm2)
-    assert beside.by_run[0] == pytest.approx(marginal(0.0), abs=1e-6)
+    found = score.with_offsets(variance_cm2)
+    assert found.by_run[0] == pytest.approx(marginal(0.0), abs=1e-6)
     low, middle, high = (marginal(other) for other in (-0.01, 0.0, 0.01))
-    assert beside.slope[0, 1] == pytest.approx((high - low) / 0.02, rel=1e-4)
-    assert beside.information[0, 1, 1] == pytest.approx((2.0 * middle - low - high) / 1e-4, rel=1e-3)
+    assert found.slope[0, 1] == pytest.approx((high - low) / 0.02, rel=1e-4)
+    assert found.information[0, 1, 1] == pytest.approx((2.0 * middle - low - high) / 1e-4, rel=1e-3)
 
 
 def test_offsets_of_runs_do_not_hide_an_effect_inside_them() -> None:

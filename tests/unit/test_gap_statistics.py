@@ -247,14 +247,16 @@ def test_how_far_runs_differ_and_whether_readings_wander_is_known_without_a_name
         off_cm + 1.2 * np.sin(np.arange(RUNS * ROWS) * 2.0 * np.pi / ROWS + np.repeat(np.arange(RUNS), ROWS)) * wanders
     )
     problem = Problem.of(MODEL, contexts, read(contexts, 12, bias_cm=off_cm), np.arange(RUNS * ROWS) // ROWS, rng)
-    scatter = run_scatter(problem, problem.base, of_blocks=False)
+    scatter = run_scatter(problem, problem.base)
     if not differ:
         assert scatter is None
         return
     assert scatter is not None
     assert scatter.inside_runs == wanders
     assert scatter.deviation_cm == pytest.approx(off_cm.std(), rel=0.25)
-    assert run_scatter(problem, problem.base, of_blocks=True) == replace(scatter, inside_runs=True)
+    # Of blocks of one run it is a wander.
+    one_run = replace(problem, contexts={**problem.contexts, "run": np.full(RUNS * ROWS, "flight")})
+    assert run_scatter(one_run, problem.base) == replace(scatter, inside_runs=True)
 
 
 @pytest.mark.parametrize("explains", [True, False])

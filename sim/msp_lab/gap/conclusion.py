@@ -11,7 +11,7 @@ from dataclasses import replace
 from scipy.special import stdtr
 
 from msp_lab.gap import rules
-from msp_lab.gap.findings import FoundEffect, GapFindings, Measure, Slice, UnknownEffect, error_name
+from msp_lab.gap.findings import FoundEffect, GapFindings, Measure, UnknownEffect
 from msp_lab.gap.labels import (
     effect_label,
     finding_label,
@@ -22,11 +22,9 @@ from msp_lab.gap.labels import (
     unit_after,
     unit_of,
 )
-from msp_lab.gap.measures import CHANNEL_OF
-from msp_lab.gap.prepared import ODDS_CHANNELS
 from msp_lab.gap.verdict import NO_GAP
+from msp_lab.gap.what_is_left import likely_column, next_of_runs, own_number, what_is_left
 from msp_sim.effects import CATALOGUE
-from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.effects.latency import LATENCY
 from msp_sim.effects.plain import MOST_TIMES, digits, plain_finding
 from msp_sim.effects.run_offsets import RUN_OFFSETS
@@ -41,17 +39,9 @@ NOTHING_NAMED = ("nothing missing", "undecided", "absorbed")
 """Verdicts that rest on the test of all effects at once."""
 STILL_OPEN = ("partly explained", "unexplained")
 """Verdicts that leave a gap."""
+NOT_SMALLER = "but the disagreement does not become smaller by that"
 MOST_REFITTED = 3
 """Refitted numbers in the lines; all of them are on the page."""
-FIELDS = {
-    "bias_cm": "bias_cm",
-    "spread_ratio": "log_spread",
-    **{f"odds_{one}": f"log_odds_{one}" for one in ODDS_CHANNELS},
-}
-"""Field of a `Slice` with each measure."""
-OF_RUNS = 0.5
-"""What runs differ by is what is left if it is this share of the bias that is left. Two halves of the runs differ by so
-much by random variation. Higher: disagreements of runs are said to be unexplained; lower: other ones to be of runs."""
 CHANNELS = {
     "bias": "the error",
     "spread": "the scatter",
@@ -164,7 +154,7 @@ def _decision(findings: GapFindings) -> str:
             text = "These readings are too few to decide whether something is missing"
         case "absorbed":
             text = _absorbed(findings)
-        case _ if left := _left(findings):
+        case _ if left := what_is_left(findings):
             text = f"Readings and model disagree: {left}, and nothing that is recorded says why"
         case _:
             text = "Readings and model disagree, and no effect of the catalogue explains it"
@@ -182,39 +172,15 @@ def _share_of_gap(findings: GapFindings) -> str:
         hides = (findings.nats.noise_floor or 0.0) > rules.CLOSED_MAX_NATS or _is_left(findings)
         seen = " that these readings can show" * hides
         return f"; that {is_} all of the disagreement{seen}"
-    before, after, left = findings.nats.before or 1.0, findings.nats.after or 0.0, _left(findings)
+    before, after, left = findings.nats.before or 1.0, findings.nats.after or 0.0, what_is_left(findings)
     percent = 100.0 * (1.0 - after / before)
     if percent < 1.0:
-        what = (
-            f"most of the disagreement is that {left}"
-            if left
-            else "but the disagreement does not become smaller by that"
-        )
-        return f"; {what}"
+        return f"; {f'most of the disagreement is that {left}' if left else NOT_SMALLER}"
     only = "only " * (findings.verdict == "unexplained")
     # The base's numbers were refitted with what was found, and a part of it is theirs.
     refitted = "with the refitted numbers " * bool(findings.refitted)
     share = f"{only}{min(percent, 99.0):.0f} % of the disagreement"
     return f"; {refitted}that {is_} {share}, and the rest is {f'that {left}' if left else 'not explained'}"
-
-
-def _left(findings: GapFindings) -> str:
-    """What is left where runs differ or readings wander about as much as the bias that is left; else nothing."""
-    scatter, gap = findings.run_scatter, findings.gap
-    if scatter is None or gap is None or not gap.bias_cm.is_beyond_floor:
-        return ""
-    bias_cm = gap.bias_cm.after or 0.0
-    if scatter.deviation_cm < OF_RUNS * bias_cm:
-        return ""
-    size = digits(scatter.deviation_cm)
-    if scatter.inside_runs:
-        what = f"readings wander by {size} cm in the course of a run"
-    elif any(effect.name == RUN_OFFSETS.name for effect in findings.effects):
-        what = f"the runs on which it is measured differ by more, {digits(bias_cm)} cm"
-    else:
-        what = f"runs differ from each other by {size} cm"
-    spread = f" and the spread is off by a factor {short(gap.spread_ratio.after)}" * gap.spread_ratio.is_beyond_floor
-    return what + spread
 
 
 def _is_left(findings: GapFindings) -> bool:
@@ -288,48 +254,9 @@ def _next_step(findings: GapFindings) -> str:
     for effect in findings.effects:
         if effect.verdict == "suggested":
             return f"to decide whether {effect.plain} ({effect.doubt}): {effect.experiment}"
-    if _left(findings):
-        return _next_of_runs(findings)
-    return _own_number(findings) or _likely_column(findings) or "look at the slices that are still off in report.html"
-
-
-def _next_of_runs(findings: GapFindings) -> str:
-    """What shows why runs differ, or readings wander inside them."""
-    if findings.run_scatter is not None and findings.run_scatter.inside_runs:
-        return "log a fixed target for as long as a run: it shows whether readings wander by themselves"
-    off = {
-        piece.where: off_cm for piece, off_cm in _off_from_the_rest(findings, "bias_cm") if piece.variables == ("run",)
-    }
-    farthest = sorted(off, key=lambda where: -abs(off[where]))[:MOST_IN_SENTENCE]
-    if not farthest:
-        return f"to see how far runs differ: {RUN_OFFSETS.experiment}"
-    runs = [f"{where.removeprefix('run ')} ({off[where]:+.2g} cm)" for where in farthest]
-    return f"look at what was different in {and_list(runs)}"
-
-
-def _own_number(findings: GapFindings) -> str:
-    """To make the model's own number again that is off alike in all slices; empty where there is none."""
-    whole = next((piece for piece in findings.slices if not piece.variables), None)
-    for number, label in (("log_spread", "scatter (sigma)"), ("bias_cm", "constant offset")):
-        value, error = (None, None) if whole is None else (whole.after.get(number), getattr(whole, error_name(number)))
-        alike = not [piece for piece, _ in _off_from_the_rest(findings, number)]
-        if None not in (value, error) and alike and abs(value or 0.0) > rules.SURE_Z * (error or 0.0):
-            return (
-                f"make the model's own numbers of more such readings (msp-lab characterise): {label} is off everywhere"
-            )
-    return ""
-
-
-def _off_from_the_rest(findings: GapFindings, number: str) -> Iterator[tuple[Slice, float]]:
-    """Slices of one column that are still off by another number than all readings, and by how much."""
-    whole = next((piece for piece in findings.slices if not piece.variables), None)
-    of_all = 0.0 if whole is None else whole.after.get(number) or 0.0
-    for piece in findings.slices:
-        value, error = piece.after.get(number), getattr(piece, error_name(number))
-        if len(piece.variables) != 1 or value is None or error is None:
-            continue
-        if abs(value - of_all) > rules.SURE_Z * error:
-            yield piece, value - of_all
+    if what_is_left(findings):
+        return next_of_runs(findings)
+    return own_number(findings) or likely_column(findings) or "look at the slices that are still off in report.html"
 
 
 def _is_ahead(effect: FoundEffect) -> bool:
@@ -344,33 +271,6 @@ def _next_of_unknown(unknown: UnknownEffect) -> str:
         over = and_list([name_of(one) for one in unknown.variables])
         return f"record {column}: {effect_label(name, None)} needs it and depends on the same {over}, a likely cause"
     return "look at its curve in report.html; if you know the physics, write it as an effect (docs/developing.md)"
-
-
-def _likely_column(findings: GapFindings) -> str:
-    """The column that is not recorded and would show most effects on what is still off; empty where none would.
-
-    What else such an effect depends on is recorded, and what is left differs over it, or over anything.
-    """
-    measures = {} if findings.gap is None else findings.gap.measures
-    off = [key for key, measure in measures.items() if key in CHANNEL_OF and measure.is_beyond_floor]
-    over = {
-        CHANNEL_OF[key]: {name for piece, _ in _off_from_the_rest(findings, FIELDS[key]) for name in piece.variables}
-        for key in off
-    }
-    likely: dict[str, list[str]] = {}
-    for untested in findings.not_testable:
-        effect = CATALOGUE.get(untested.name)
-        if len(untested.columns) != 1 or effect is None:
-            continue
-        recorded = set(effect.requires) - {*untested.columns}
-        # Scatter and shares need the range only since there is no hit without it.
-        needed = {channel: recorded - ({TRUE_RANGE} if channel != "bias" else set()) for channel in effect.channels}
-        if any(over.get(channel) and columns <= over[channel] for channel, columns in needed.items()):
-            likely.setdefault(untested.columns[0], []).append(effect_label(untested.name, None))
-    if not likely:
-        return ""
-    column, names = max(likely.items(), key=lambda item: len(item[1]))
-    return f"record {column}: {and_list(names[:MOST_IN_SENTENCE])} would need it, and may be what is left"
 
 
 def with_words(findings: GapFindings) -> GapFindings:

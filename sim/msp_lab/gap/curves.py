@@ -93,13 +93,13 @@ def _likeliest_curve(problem: Problem, state: State, *asked: list[CandidateCurve
 
     Of each way and channel it is the first of the likeliest that gains enough, and promises as much by its score: what
     offsets of runs promise of the bias says nothing of the others. Readings propose, and runs count after the refit, as
-    for effects. A ripple is one of many periods, and has no cause: a curve over
-    another column comes before it that random variation makes less often, as any column does that alternates at even
-    times.
+    for effects. A ripple is one of many periods, and has no cause: a curve over another column comes before it that
+    random variation makes less often, as any column does that alternates at even times.
     """
     least, found = np.log(rules.CURVE_P), {}
     for forms, channel in product(asked, CHANNELS):
-        for form in [form for form in forms if form.channel == channel][: rules.CURVES_REFITTED]:
+        of_channel = [form for form in forms if form.channel == channel]
+        for form in of_channel[: rules.CURVES_REFITTED]:
             # What a curve of far hits gains before a refit, at the spread that they have caused, promises too little.
             if form.corrected > least and not form.start:
                 break

@@ -14,14 +14,7 @@ from msp_lab.gap import rules
 from msp_lab.gap.curves import instead_of_offsets
 from msp_lab.gap.estimates import FinalFit, calibrated, detectable, found_terms, with_constants
 from msp_lab.gap.extended_model import extended
-from msp_lab.gap.findings import (
-    CalibrationFinding,
-    FoundEffect,
-    GapFindings,
-    NotTestable,
-    RunScatter,
-    UnknownEffect,
-)
+from msp_lab.gap.findings import CalibrationFinding, FoundEffect, GapFindings, NotTestable, RunScatter, UnknownEffect
 from msp_lab.gap.intake import Comparison, KnownRows
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Problem, Progress, State, forward_only
@@ -258,7 +251,7 @@ def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllRe
         selection.first.p_value,
         detectable(problem, selection.first),
         tuple((lost.term.label, lost.why) for lost in kept.dropped),
-        run_scatter(problem, kept.state.fit, splits.of_blocks),
+        run_scatter(problem, kept.state.fit),
         tuple(_messages(problem, selection, kept.state, whole.reading_cm.size, max_terms)),
     )
 

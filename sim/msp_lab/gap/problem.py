@@ -122,10 +122,15 @@ class Problem:
         """Number of each reading's own run, (n,), also where blocks stand in for runs."""
         return numbered(self.contexts["run"]) if "run" in self.contexts else np.zeros(len(self.readings), dtype=np.intp)
 
-    @property
+    @cached_property
     def runs(self) -> int:
-        """How many runs there are."""
+        """How many runs there are, or blocks that stand in for them."""
         return np.unique(self.unit).size
+
+    @cached_property
+    def of_blocks(self) -> bool:
+        """Whether blocks of readings stand in for runs."""
+        return np.unique(self.run).size < self.runs
 
     @property
     def prior(self) -> Array:
@@ -153,8 +158,7 @@ class Problem:
             return evidence_nats(smaller, larger, None)
         left = self.dependence(larger)
         follow = left.lag_correlation if left.lag_z > rules.DEPENDENT_LAG_Z else 0.0
-        of_blocks = np.unique(self.run).size < self.runs
-        gained = evidence_nats(self.at_correlation(smaller, larger.base), larger, self.unit, of_blocks)
+        gained = evidence_nats(self.at_correlation(smaller, larger.base), larger, self.unit, self.of_blocks)
         return gained * (1.0 - follow) / (1.0 + follow)
 
     def at_correlation(self, fit: JointFit, base: Base) -> JointFit:

@@ -87,7 +87,8 @@ WANDER_P = 0.01
 a wander inside them leads to with a smaller one have offsets. Next to dependent runs a wander is likely, so a higher
 value than `DEPENDENT_P`; a wander that lasts for a run is nearly an offset: at 0.0001 offsets of 0.3 sigma are found in
 0.7 of tables of 20 runs and 0.1 of 8 runs, at 0.01 in all and 0.7. Higher: independent readings lose power, and wanders
-are named run offsets; lower: a wander makes names."""
+are named run offsets; lower: a wander makes names. Next to one run that is off, others that scatter more than the model
+says with a smaller one count alone."""
 
 # Intake: point masses that the model does not declare.
 
@@ -228,9 +229,9 @@ BASE_BOUND = Base(20.0, 3.0, 12.0, 12.0, 12.0, 4.0, 1.0, 1.0)
 """The base may move so far: cm, logarithms of spread and odds, of the short readings' rate, the saturated share, the
 correlation. What is farther is another sensor. Wider: fits that end at nonsense."""
 BASE_DEVIATION = Base(1.0, 0.15, 1.0, 1.0, 1.0, 0.5, 0.2, 1.0)
-"""Standard deviations of the prior that holds the base near the model file (`refit`). About how far a
-characterised base is off; a table of 1,000 readings is 30 times as certain. Narrower: effects take what is calibration;
-wider: what the readings cannot tell drifts."""
+"""Standard deviations of the prior that holds the base near the model file (`refit`). About how far a characterised
+base is off; a table of 1,000 readings is 30 times as certain. Narrower: effects take what is calibration; wider:
+what the readings cannot tell drifts."""
 CURVE_PRECISION = 0.05
 """Precision of the prior about 0 for the values of curves and for log odds. It holds a knot that no reading is near,
 and odds where all readings are of one kind: else misses beyond an angle are certain, and a single echo there, in runs
@@ -307,7 +308,7 @@ More: slower."""
 MAX_CURVES = 3
 """At most so many curves are added in one go. What needs more has another cause. More: slower."""
 CURVE_OF_RUNS_SHARE = 0.5
-"""A curve with more of the variance of its shift between runs is one of runs, and has to be known from as many of them.
+"""A curve that makes more of its gain by moving whole runs is one of runs, and has to be known from as many of them.
 One that is known from readings inside runs has less there. Higher: sessions become curves; lower: curves over what
 varies in both are lost where runs are few."""
 CURVE_RUNS_PER_DEGREE = 3

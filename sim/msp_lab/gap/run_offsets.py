@@ -53,7 +53,7 @@ def run_offset_cm(problem: Problem, fit: JointFit) -> float:
     return sigma_cm * float(np.sqrt(share))
 
 
-def run_scatter(problem: Problem, fit: JointFit, of_blocks: bool) -> RunScatter | None:
+def run_scatter(problem: Problem, fit: JointFit) -> RunScatter | None:
     """How far runs differ or readings wander inside them, next to the effects of a fit; None where they do not.
 
     Offsets between runs are named if splits of the runs agree on them: this is what is known where they do not.
@@ -68,7 +68,7 @@ def run_scatter(problem: Problem, fit: JointFit, of_blocks: bool) -> RunScatter 
     # Of a unit with information I and variance d of its offset, a sum of slopes has the variance I + I^2 d.
     sums, information = np.bincount(unit, slope), np.bincount(unit) * float(np.mean(slope**2))
     variance = float((sums**2 - information).sum() / (information**2).sum())
-    return RunScatter(float(np.sqrt(max(variance, 0.0))), inside_runs or of_blocks)
+    return RunScatter(float(np.sqrt(max(variance, 0.0))), inside_runs or problem.of_blocks)
 
 
 def p_beyond_wander(slope: Array, unit: Indices) -> float:

@@ -37,7 +37,7 @@ class CrossScore(NamedTuple):
     information: Array
     """Slope and information of each run's log-likelihood by these, (runs, b) and (runs, b, b)."""
 
-    def beside_offsets(self, variance_cm2: float) -> "CrossScore":
+    def with_offsets(self, variance_cm2: float) -> "CrossScore":
         """With a normal offset of this variance in each run, integrated out; the base's offset is the first number.
 
         Of a run with slope s and information i by the offset the log-likelihood grows by ``v s^2 / (1 + v i) / 2 -
@@ -174,7 +174,7 @@ class CrossFits:
         if (*way, exact) not in self.kept:
             score = self._by_fit(way) if exact else self._by_quadratic(way)
             variance_cm2 = self._offset_variance_cm2
-            self.kept[*way, exact] = score.beside_offsets(variance_cm2) if variance_cm2 > 0.0 else score
+            self.kept[*way, exact] = score.with_offsets(variance_cm2) if variance_cm2 > 0.0 else score
         return self.kept[*way, exact]
 
     @cached_property

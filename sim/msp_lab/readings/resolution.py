@@ -97,7 +97,7 @@ def step_with(data: MeasuredData, model: Model) -> float:
 
 
 def constants_cm(reading_cm: Array, run: Indices, step_cm: float, limits_cm: tuple[float, float]) -> Array:
-    """Return what was added to readings that are a constant beside the multiples of a step, run by run [cm], (n,).
+    """Return what was added to readings that are a constant off the multiples of a step, run by run [cm], (n,).
 
     Rounded away, it would be an offset of up to half a step that no sensor has. It is 0 where nothing was added, for
     readings of such a run that are no multiples even without it, as its codes are, and in runs without a step.
@@ -125,11 +125,11 @@ def constants_cm(reading_cm: Array, run: Indices, step_cm: float, limits_cm: tup
         own = np.flatnonzero(run == number)
         shown_cm = reading_cm[own[usual[own]]]
         middle_cm = _most_frequent(shown_cm)
-        beside_cm = middle_cm - float(to_step(np.array([middle_cm]), step_cm)[0])
-        # Of a single reading any step is one beside a constant.
-        is_beside = shown_cm.size > 1 and abs(beside_cm) > TOLERANCE * step_cm
-        if is_beside and _share_on(shown_cm - middle_cm, step_cm) >= ON_STEP_SHARE:
-            constant_cm[own[_is_on(reading_cm[own] - middle_cm, step_cm)]] = beside_cm
+        off_cm = middle_cm - float(to_step(np.array([middle_cm]), step_cm)[0])
+        # Of a single reading any step is one but for a constant.
+        is_off = shown_cm.size > 1 and abs(off_cm) > TOLERANCE * step_cm
+        if is_off and _share_on(shown_cm - middle_cm, step_cm) >= ON_STEP_SHARE:
+            constant_cm[own[_is_on(reading_cm[own] - middle_cm, step_cm)]] = off_cm
     return constant_cm
 
 
