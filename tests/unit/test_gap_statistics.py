@@ -232,6 +232,20 @@ def test_a_note_on_dependence_has_the_correlation_that_counts() -> None:
     assert float(found[2]) < 0.1
 
 
+def test_a_spread_far_from_the_models_is_reported_as_it_is() -> None:
+    """Of 200 readings the search's prior, of 0.15, would hold it by a tenth."""
+    contexts = {name: column[::10] for name, column in flown(3).items()}
+    sigma_cm = 0.25 * MODEL.sensor.reading_model.sigma_cm
+    own = np.random.default_rng(5).standard_normal(RUNS * ROWS // 10)
+    true_cm = np.rint(contexts["true_range_cm"].astype(float))
+    contexts["true_range_cm"] = true_cm
+    found = explained(contexts, np.rint(true_cm + sigma_cm * own))
+    (spread,) = [number for number in found.calibration if number.name == "sigma_cm"]
+    assert spread.low is not None
+    assert spread.high is not None
+    assert spread.low < float(np.std(sigma_cm * own)) < spread.high
+
+
 def test_offsets_between_runs_are_named() -> None:
     contexts = flown(9)
     offset_cm = 1.5 * np.random.default_rng(9).standard_normal(RUNS)
