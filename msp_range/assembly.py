@@ -8,14 +8,20 @@ from typing import NamedTuple
 from msp_range.acoustics.air import compensate_range
 from msp_range.bus import Bus
 from msp_range.config import Airframe, SensorSettings
+from msp_range.correction.temperature import MavlinkSource
 from msp_range.fusion import AttitudeTrack, DownwardSensor, Fusion, VerticalMotion, Windows
 from msp_range.geometry import Vector, quaternion
 from msp_range.health import Expected, SensorWatch
+from msp_range.mavlink.acceptance import ACCEPTANCE_RATES, AcceptanceWatch
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Stream
+from msp_range.mavlink.inertial import WITNESSES
 from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation
 from msp_range.reading_model.sensor_model import MEAN_EFFECTS, SensorModel
 from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin
+
+TEMPERATURE_REQUEST_HZ = 1.0
+"""How often the autopilot is asked for temperatures, which change in minutes."""
 
 
 def polled_sensors(airframe: Airframe, bus: Bus) -> dict[str, PolledSensor]:
@@ -203,6 +209,26 @@ def streams_of(airframe: Airframe, temperature_c: float | None = None) -> Airfra
             if sensor.name not in airframe.sent_names
         },
     )
+
+
+def downward_stream(airframe: Airframe) -> Stream | None:
+    """The stream with orientation 25, down: the fused one, or a single sensor's; None where there is none."""
+    singles, fused, _ = streams_of(airframe)
+    return fused or next((stream for stream in singles.values() if stream.orientation.value == DOWN), None)
+
+
+def acceptance_of(airframe: Airframe) -> AcceptanceWatch | None:
+    """What watches how the autopilot takes the downward distances; None where none are sent."""
+    is_sent = downward_stream(airframe) is not None and not airframe.send.nothing
+    return AcceptanceWatch(airframe.link.autopilot) if is_sent else None
+
+
+def wanted_of(airframe: Airframe) -> dict[str, float]:
+    """Messages that the bridge needs of the autopilot: rate [Hz] by name."""
+    autopilot, sources = airframe.link.autopilot, airframe.temperature.sources
+    wanted = {source.message: TEMPERATURE_REQUEST_HZ for source in sources if isinstance(source, MavlinkSource)}
+    wanted |= WITNESSES[autopilot] if airframe.send.fused is not None else {}
+    return wanted | (ACCEPTANCE_RATES[autopilot] if acceptance_of(airframe) is not None else {})
 
 
 def _stream_type(sensors: Sequence[SensorSettings]) -> int:

@@ -12,11 +12,13 @@ from typing import Any, NamedTuple, Protocol
 
 from msp_range.acoustics.air import NO_AIR, Air, compensate_range
 from msp_range.assembly import (
+    acceptance_of,
     fused_maximum_m,
     fusion_of,
     polling_order,
     sensor_watch_of,
     streams_of,
+    wanted_of,
     windows_of,
 )
 from msp_range.bus import Bus
@@ -24,7 +26,6 @@ from msp_range.clock import Clock
 from msp_range.config import Airframe, SensorSettings
 from msp_range.correction.air_temperature import AirTemperature
 from msp_range.correction.calibration import IDENTITY, Calibration
-from msp_range.correction.temperature import MavlinkSource
 from msp_range.correction.thermometer import LoopReader
 from msp_range.filters.chain import Chain, Filtered
 from msp_range.fusion import (
@@ -55,16 +56,18 @@ from msp_range.health import (
     verdict_of,
 )
 from msp_range.health.finding import SensorFinding
+from msp_range.mavlink.acceptance import Acceptance, AcceptanceWatch
 from msp_range.mavlink.dialect import dialect
-from msp_range.mavlink.inertial import WITNESSES, motion_of
+from msp_range.mavlink.inertial import motion_of
 from msp_range.mavlink.link import Link
 from msp_range.mavlink.signing import Signing
 from msp_range.mavlink.streams import Streams
 from msp_range.mavlink.transport import Transport
-from msp_range.pilot_texts import Report, Severity, Text
+from msp_range.pilot_texts import Condition, Report, Severity, Text
 from msp_range.reading import Reading, Status
 from msp_range.recording.stages import stages_of
 from msp_range.recording.topics import (
+    ACCEPTANCE_TOPIC,
     ATTITUDE_TOPIC,
     FUSED_TOPIC,
     HEALTH_TOPIC,
@@ -87,9 +90,6 @@ reports the others later."""
 LIMITS_FOLLOW_C = 1.0
 """The maximum of the streams follows the air where that has changed by more than this [deg C], which is 1.3 cm at 7.65
 m. Smaller changes ``max_distance`` more often, larger calls a distance that the sensors cannot measure possible."""
-TEMPERATURE_REQUEST_HZ = 1.0
-"""How often the autopilot is asked for temperatures, which change in minutes."""
-
 
 _SYSTEM_STATUS = {
     BridgeState.STARTING: dialect.MAV_STATE_BOOT,
@@ -204,6 +204,8 @@ class Bridge:
     ----------
     airframe
         The vehicle.
+    acceptance
+        What the autopilot makes of the downward distances; None: none are sent, or there is no autopilot.
     air
         The air that sound travels through now.
     started_s
@@ -245,19 +247,17 @@ class Bridge:
         )
         self.air = self._temperature.now(now_s)
         self._replayed = replayed
-        sources = airframe.temperature.sources
-        asked = {source.message: TEMPERATURE_REQUEST_HZ for source in sources if isinstance(source, MavlinkSource)}
         self._attitude, self._motion = AttitudeTrack(), VerticalMotion()
         self._fusion = fusion_of(airframe, self._attitude, self._motion)
         self._fused_by_sound = any(sensor.sensor_model.medium == "sound" for sensor in airframe.downward)
-        if self._fusion is not None:
-            asked |= WITNESSES[airframe.link.autopilot]
+        self._acceptance_watch = acceptance_of(airframe)
+        self.acceptance: Acceptance | None = None
         self.link = Link(
             transport,
             clock,
             component_id=airframe.link.component_id,
             on_message=self._on_message,
-            wanted=asked | dict(wanted or {}),
+            wanted=wanted_of(airframe) | dict(wanted or {}),
             autopilot=airframe.link.autopilot,
             system_id=airframe.link.system_id,
             signing=signing,
@@ -408,8 +408,13 @@ class Bridge:
             topic, frame = WITHHELD_TOPIC, message.pack(sender)
         else:
             topic, frame = SENT_TOPIC, self.link.send(message)
-        if frame is not None:
-            self.write(topic, self._clock.now(), {"name": message.msgname, "hex": frame.hex()})
+        if frame is None:
+            return
+        now_s = self._clock.now()
+        if self._acceptance_watch is not None:
+            down = self._attitude.down_at(now_s)
+            self._acceptance_watch.on_sent(now_s, message, 1.0 if down is None else down[2])
+        self.write(topic, now_s, {"name": message.msgname, "hex": frame.hex()})
 
     @property
     def _is_kept(self) -> bool:
@@ -425,6 +430,8 @@ class Bridge:
 
     def _on_message(self, now_s: float, message: Any) -> None:
         self._temperature.on_message(now_s, message)
+        if self._acceptance_watch is not None:
+            self._acceptance_watch.on_message(now_s, message)
         if self._fusion is not None:
             moved = motion_of(message, now_s, self.link.autopilot_clock, self._attitude)
             if moved is not None:
@@ -456,6 +463,8 @@ class Bridge:
             conditions.append(Text.NOT_SENT)
         if self._fusion is not None:
             conditions += self._fusion.conditions()
+        if self._acceptance_watch is not None:
+            conditions.append(self._accepted(self._acceptance_watch, now_s))
         if self._recorder is not None:
             self._recorder.flush_if_due(now_s)
             fault = self._recorder.fault
@@ -469,6 +478,15 @@ class Bridge:
             texts = [(reported.severity, reported.text) for reported in self.verdict.findings if reported.is_reported]
             for severity, text in texts + self._below.texts():
                 self.link.send_text(severity, text)
+
+    def _accepted(self, watch: AcceptanceWatch, now_s: float) -> Condition:
+        """Note what the autopilot makes of the distances, and return what is wrong with it."""
+        before, self.acceptance = self.acceptance, watch.now(now_s) if self.link.autopilot_is_present else None
+        if self.acceptance is None:
+            return Text.NOT_RECEIVED.when(False)
+        if self.acceptance != before:
+            self.write(ACCEPTANCE_TOPIC, now_s, {"text": self.acceptance.text} | self.acceptance.numbers)
+        return self.acceptance.problem
 
     def notify(self, severity: Severity, text: str) -> None:
         """Report something to the pilot, the recording and the log."""

@@ -194,6 +194,15 @@ class Text:
     NO_AUTOPILOT = Condition(
         "autopilot", "Range: no autopilot, nobody gets the distances", severity=Severity.ERROR, is_reported=False
     )
+    # What the autopilot's own messages say of the distances; it has texts of its own for the pilot.
+    NOT_RECEIVED = Condition("acceptance", "Range: autopilot does not receive the distances", is_reported=False)
+    OTHER_RANGE = NOT_RECEIVED._replace(text="Range: autopilot has {has_m:.2f} m, not what is sent")
+    REJECTED = NOT_RECEIVED._replace(
+        text="Range: autopilot rejects distances (ratio {ratio:.1f})",
+        remedy="its other sources of height differ from the distances: compare the height above the ground on its map, "
+        "and see what is in the beams",
+    )
+    NOT_FOLLOWED = REJECTED._replace(text="Range: autopilot is {off_m:.1f} m off{rejected}")
     # Received on the link in the last 10 s, what is about ids three times.
     SECOND_AUTOPILOT = Condition(
         "other autopilot",

@@ -6,13 +6,14 @@ Distances that the sensors have just measured are sent for some seconds, and onl
 from collections.abc import Iterator, Mapping
 from contextlib import closing
 
+from msp_range.assembly import downward_stream
 from msp_range.clock import Clock
 from msp_range.config import Airframe
 from msp_range.correction.temperature import COLDEST_C, HOTTEST_C, MAVLINK_FIELDS, MavlinkSource
 from msp_range.doctor.computer import Computer
 from msp_range.doctor.finding import RIGHT, UNKNOWN, WRONG, Finding, first_of, right, unknown, wrong
 from msp_range.doctor.port import check_holders
-from msp_range.mavlink.dialect import dialect
+from msp_range.mavlink.acceptance import OTHER_FIRST, is_healthy, not_received
 from msp_range.mavlink.distance_sensor import distance_sensor
 from msp_range.mavlink.frames import Frame, FrameReader
 from msp_range.mavlink.orientation import DOWN
@@ -26,7 +27,6 @@ from msp_range.params.settings import (
     DISTANCE_SENSOR_BY_MAVLINK,
     UNARMED,
     Firmware,
-    downward_stream,
     settings,
 )
 from msp_range.yaml_file import ConfigError
@@ -48,8 +48,6 @@ _EXISTS = {"ardupilot": "RNGFND1_TYPE", "px4": "EKF2_RNG_CTRL"}
 LISTEN_S = 2.0
 """How long to listen for a program that sends to this computer, where nobody is at the address of the link [s]: an
 autopilot sends a heartbeat once a second."""
-FIRST_RANGE_FINDER = "is another range finder set up as the first one? See RNGFND1_TYPE, RNGFND1_ORIENT"
-"""What to do where the autopilot has another distance than the bridge."""
 
 
 class Tap(Wrapped):
@@ -331,14 +329,14 @@ def _distances(airframe: Airframe, client: ParameterClient, clock: Clock, ranges
     sent = f"{range_m:.2f} m was sent, and the autopilot"
     remedy = "msp-range params AIRFRAME.yaml --write, then restart the autopilot: the type counts from then on"
     if back is None:
-        return wrong(step, f"{sent} reports no distance of its own", remedy)
+        why = not_received(airframe.link.autopilot, status)
+        return wrong(step, f"{sent} reports no distance of its own{'' if why is None else f': {why}'}", remedy)
     back_m = back.current_distance / 100
     is_other = back.orientation != DOWN or abs(back_m - range_m) > RETURNED_M
-    bit = dialect.MAV_SYS_STATUS_SENSOR_LASER_POSITION
-    is_unhealthy = status and bit & status.onboard_control_sensors_present & ~status.onboard_control_sensors_health
+    is_unhealthy = status is not None and not is_healthy(status)
     return first_of(
         step,
-        (is_other, f"{sent} has {back_m:.2f} m", FIRST_RANGE_FINDER),
+        (is_other, f"{sent} has {back_m:.2f} m", OTHER_FIRST),
         (is_unhealthy, f"the autopilot has {back_m:.2f} m and calls its range finder unhealthy", remedy),
         (True, f"{sent} has {back_m:.2f} m"),
     )

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from fastcrc.crc16 import mcrf4xx
 
-from msp_range.mavlink.dialect import dialect
+from msp_range.mavlink.dialect import MESSAGES, dialect
 
 MAX_FALSE_STARTS = 64
 """After a false start of a frame the search continues at the next byte, to find a frame that begins inside the false
@@ -66,7 +66,7 @@ class Frame(NamedTuple):
 
         pymavlink's decoder would verify the checksum again, and make an object that can be sent.
         """
-        kind = dialect.mavlink_map[self.message_id]
+        kind = MESSAGES[self.message_id]
         wire = kind.unpacker
         # MAVLink 2 leaves out zeros at the end, and a later version of a message may be longer.
         values = wire.unpack(self.payload.ljust(wire.size, b"\0")[: wire.size])
@@ -79,7 +79,7 @@ class Frame(NamedTuple):
 @cache
 def _message_type(message_id: int) -> Any:
     """The type of a message: its name, and the values of its fields in their order on the wire."""
-    kind = dialect.mavlink_map[message_id]
+    kind = MESSAGES[message_id]
     return namedtuple(kind.msgname, ("msgname", *kind.ordered_fieldnames))
 
 
@@ -125,7 +125,7 @@ class FrameReader:
                 break
             data = stream[start:stop]
             message_id = int.from_bytes(data[id_at:payload_at], "little")
-            kind = dialect.mavlink_map.get(message_id)
+            kind = MESSAGES.get(message_id)
             if kind is None:
                 # A frame of another dialect, or noise: it counts as a frame if another frame or nothing follows.
                 is_frame = stop == end or stream[stop] in _LAYOUT

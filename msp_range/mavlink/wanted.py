@@ -7,7 +7,7 @@ message's name, so a refusal counts only if a single request was pending.
 
 from collections.abc import Mapping
 
-from msp_range.mavlink.dialect import dialect
+from msp_range.mavlink.dialect import MESSAGE_IDS, dialect
 
 ENOUGH = 0.8
 """A message that arrives with at least this share of its rate is not requested. Autopilots round intervals to their own
@@ -58,8 +58,8 @@ class WantedMessages:
 
     Raises
     ------
-    AttributeError
-        The dialect has no such message.
+    KeyError
+        There is no such message.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class WantedMessages:
     next_request_s: float
 
     def __init__(self, rates_hz: Mapping[str, float]) -> None:
-        self._rates_hz = {getattr(dialect, f"MAVLINK_MSG_ID_{name}"): rate_hz for name, rate_hz in rates_hz.items()}
+        self._rates_hz = {MESSAGE_IDS[name]: rate_hz for name, rate_hz in rates_hz.items()}
         self.ask_anew(float("-inf"))
 
     def ask_anew(self, now_s: float) -> None:

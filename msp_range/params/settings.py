@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from msp_range.assembly import streams_of
+from msp_range.assembly import downward_stream, streams_of
 from msp_range.config import Airframe
 from msp_range.mavlink.distance_sensor import Autopilot, Stream
 from msp_range.mavlink.orientation import DOWN, PITCH_90
@@ -136,12 +136,6 @@ def remarks(airframe: Airframe, firmware: Firmware) -> list[str]:
     if firmware.autopilot == "ardupilot" and firmware.vehicle == "sub":
         lines.append("ArduSub ignores distances that readings contradict: of a quality below RNGFND_SQ_MIN (90).")
     return lines
-
-
-def downward_stream(airframe: Airframe) -> Stream | None:
-    """The stream with orientation 25, down: the fused one, or a single sensor's; None where there is none."""
-    singles, fused, _ = streams_of(airframe)
-    return fused or next((stream for stream in singles.values() if stream.orientation.value == DOWN), None)
 
 
 def _ardupilot(airframe: Airframe, firmware: Firmware, port: int) -> Iterator[Setting]:

@@ -2,8 +2,9 @@
 
 Topics of a sensor are ``/range/<sensor>``, every stage of a reading in one message, and, from a simulator or a bench,
 ``/truth/<sensor>``; the rest are ``/fused``, ``/attitude``, ``/motion``, ``/mavlink/sent``, ``/mavlink/withheld``,
-``/health``, ``/mark`` and ``/campaign``. A key that is absent is unknown, and a message without the required ones is
-left out. Every key has one plain type, because Foxglove and Lichtblick refuse schemas with unions and with null.
+``/acceptance``, ``/health``, ``/mark`` and ``/campaign``. A key that is absent is unknown, and a message without the
+required ones is left out. Every key has one plain type, because Foxglove and Lichtblick refuse schemas with unions and
+with null.
 """
 
 import json
@@ -29,6 +30,7 @@ LARGEST_TIME_S = 1e10
 FUSED_TOPIC, ATTITUDE_TOPIC, MOTION_TOPIC = "/fused", "/attitude", "/motion"
 SENT_TOPIC, WITHHELD_TOPIC = "/mavlink/sent", "/mavlink/withheld"
 HEALTH_TOPIC, MARK_TOPIC, CAMPAIGN_TOPIC = "/health", "/mark", "/campaign"
+ACCEPTANCE_TOPIC = "/acceptance"
 RANGE_PREFIX = "/range/"
 TRUTH_PREFIX = "/truth/"
 _TYPES: dict[str, type] = {
@@ -102,6 +104,16 @@ TOPICS = {
     ),
     SENT_TOPIC: Topic("a MAVLink message that went out", _MAVLINK),
     WITHHELD_TOPIC: Topic("a distance that would have gone out, but the airframe file says: send nothing", _MAVLINK),
+    ACCEPTANCE_TOPIC: Topic(
+        "what the autopilot makes of the distances, by its own messages",
+        {
+            "text": "the same in words",
+            "received_m": "the distance that it says it has [m]",
+            "height_m": "its estimator's height above the ground [m]",
+            "off_m": "how much larger that is than the distances of the last second [m]",
+            "ratio": "its estimator's innovation over its limit: from 1 on distances are rejected",
+        },
+    ),
     HEALTH_TOPIC: Topic("a change of health", {"text": "what changed", "severity": "how bad it is"}),
     MARK_TOPIC: Topic("what somebody noted while it flew", {"text": "the note"}),
     CAMPAIGN_TOPIC: Topic(

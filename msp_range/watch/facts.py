@@ -30,9 +30,15 @@ class Fact(NamedTuple):
     """Whether the page lists it; else it draws it in a form of its own."""
 
 
-def status_facts(
-    bridge: Bridge, transport: Transport, recording: Path | None, uptime_s: float, received: dict[str, Any] | None
-) -> Iterator[Fact]:
+_GAUGES = {
+    "received_m": "Distance that the autopilot says it has.",
+    "height_m": "Height above the ground by the autopilot's estimator.",
+    "off_m": "How much larger that is than the distances sent.",
+    "ratio": "Innovation of the autopilot's estimator over its limit.",
+}
+
+
+def status_facts(bridge: Bridge, transport: Transport, recording: Path | None, uptime_s: float) -> Iterator[Fact]:
     """The fields of a status, in the order in which they are shown.
 
     Parameters
@@ -41,8 +47,6 @@ def status_facts(
         The file that is written; None: none.
     uptime_s
         Time since the bridge was started [s].
-    received
-        The distance that the autopilot has, as `autopilot_message` gives it; None: it sends none.
     """
     air, link = bridge.air, bridge.link
     text = f" {air.temperature_c:.1f} C, deviation {air.std_c:.1f} C, from {air.source}"
@@ -58,9 +62,10 @@ def status_facts(
     distances = f"{link.sent['DISTANCE_SENSOR']} distances{'' if is_there else ', nobody gets them'}"
     sent = "no distances" if bridge.airframe.send.nothing else distances
     yield Fact("sent", f" {sent}, {transport.stats.dropped_frames} frames dropped", {})
-    if received is not None:
-        text = f" {received['distance_m']:.2f} m (orientation {received['orientation']})"
-        yield Fact("the autopilot has", text, {}, in_list=False)
+    if bridge.acceptance is not None:
+        numbers = bridge.acceptance.numbers.items()
+        gauges = {f"msp_range_autopilot_{name}": (_GAUGES[name], value) for name, value in numbers}
+        yield Fact("the autopilot", f" {bridge.acceptance.text}", gauges)
     yield Fact("recording", f": {recording or 'none'}", {})
     uptime = {"msp_range_uptime_seconds": ("Time since the bridge was started.", uptime_s)}
     yield Fact("running for", f" {uptime_s:.0f} s", uptime, in_list=False)

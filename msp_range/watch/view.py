@@ -57,7 +57,6 @@ def status_message(
     transport: Transport,
     recording: Path | None,
     now_s: float,
-    received: dict[str, Any] | None,
 ) -> dict[str, Any]:
     """The message of ``/status``: counts and faults of sensors, air, link and recording, and what watchers show of it.
 
@@ -67,8 +66,6 @@ def status_message(
         The file that is written; None: none.
     now_s
         Now on the bridge's clock [s].
-    received
-        The distance that the autopilot has, as `autopilot_message` gives it; None: it sends none.
     """
     verdict, link, air = bridge.verdict, bridge.link, bridge.air
     faults = bridge.health.sensor_faults
@@ -99,7 +96,7 @@ def status_message(
             "reconnects": transport.stats.reconnects,
         },
         "recording": None if recording is None else str(recording),
-        "facts": [fact._asdict() for fact in status_facts(bridge, transport, recording, uptime_s, received)],
+        "facts": [fact._asdict() for fact in status_facts(bridge, transport, recording, uptime_s)],
     }
 
 

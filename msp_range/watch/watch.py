@@ -66,14 +66,11 @@ class Watch:
 
             self._page = PageProcess(outputs.web, outputs.socket, now_s, log)
         self._next_status_s = now_s
-        self._received: dict[str, Any] | None = None
 
     def on_message(self, now_s: float, message: Any) -> None:
         """Show what a message of the autopilot says of distances."""
         if self._feed.is_watched and (shown := autopilot_message(message)) is not None:
             self._feed.publish("/autopilot", now_s, shown)
-            if shown["kind"] == "DISTANCE_SENSOR":
-                self._received = shown
 
     def service(self, now_s: float) -> None:
         """Do what is due."""
@@ -83,7 +80,7 @@ class Watch:
         self._next_status_s = now_s + STATUS_INTERVAL_S
         if self._feed.is_watched:
             path = None if self._recorder is None else self._recorder.path
-            status = status_message(self._bridge, self._transport, path, now_s, self._received)
+            status = status_message(self._bridge, self._transport, path, now_s)
             self._feed.publish("/status", now_s, status)
         if self._page is not None:
             self._page.service(now_s)

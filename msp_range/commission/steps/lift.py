@@ -15,8 +15,8 @@ from msp_range.commission.session import Session
 from msp_range.commission.steps.directions import SIDES, compare_directions
 from msp_range.commission.steps.places import DEEPER_M, compare_lag, compare_places
 from msp_range.config import Airframe
-from msp_range.doctor.autopilot import FIRST_RANGE_FINDER
 from msp_range.doctor.finding import RIGHT, UNKNOWN, Finding, first_of, wrong
+from msp_range.mavlink.acceptance import OTHER_FIRST
 from msp_range.params.settings import standing_m
 from msp_range.recording.topics import Message
 
@@ -222,6 +222,6 @@ def _came_back(airframe: Airframe, recorded: Recorded, outcome: StepOutcome) -> 
     time_s, back_m = np.array(recorded.returned_m).T
     sent_m = np.interp(time_s - 0.2, fused[:, 0], fused[:, 1])
     typical_m = float(np.median(np.abs(back_m - sent_m)))
-    off = typical_m > FOLLOWS_M, f"it does not follow the lift: typically {typical_m:.2f} m off", FIRST_RANGE_FINDER
+    off = typical_m > FOLLOWS_M, f"it does not follow the lift: typically {typical_m:.2f} m off", OTHER_FIRST
     follows = f"it follows the lift from {back_m.min():.2f} to {back_m.max():.2f} m, typically to {typical_m:.2f}"
     outcome.add(step, off, (True, follows))

@@ -45,7 +45,7 @@ def heartbeat_state(bench: Bench) -> int:
 def watched(bench: Bench, vehicle: Airframe | None = None) -> Newest:
     """What a watcher has of the bench's bridge now."""
     newest = Newest()
-    status = status_message(bench.bridge, bench.wire, None, bench.clock.now(), None)
+    status = status_message(bench.bridge, bench.wire, None, bench.clock.now())
     for topic, message in (("/airframe", airframe_message(vehicle or airframe())), ("/status", status)):
         newest.update(Message(topic, bench.clock.now(), message))
     return newest
