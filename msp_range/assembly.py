@@ -18,6 +18,7 @@ from msp_range.mavlink.distance_sensor import Stream
 from msp_range.mavlink.inertial import WITNESSES
 from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation
 from msp_range.reading_model.sensor_model import MEAN_EFFECTS, SensorModel
+from msp_range.sensor_on_bus import SensorOnBus
 from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin
 
 TEMPERATURE_REQUEST_HZ = 1.0
@@ -34,16 +35,23 @@ def polled_sensors(airframe: Airframe, bus: Bus) -> dict[str, PolledSensor]:
         polled[sensor.name] = PolledSensor(
             sensor.name,
             sensor.driver(bus, sensor.address),
-            answer_timing(model, airframe.polling.adaptive),
+            answer_timing(sensor, airframe.polling.adaptive),
             std_m,
             model.reading_model.sigma_growth_cm_per_m / 100,
         )
     return polled
 
 
-def answer_timing(model: SensorModel, adaptive: bool = True) -> AnswerTiming:
-    """When a sensor is asked after a ping: from its shortest report on, or only at its deadline."""
+def answer_timing(sensor: SensorOnBus, adaptive: bool = True) -> AnswerTiming:
+    """When a sensor is asked after a ping: from its shortest report on, or only at its deadline.
+
+    One on a serial port is asked all the time, since its range is as old as its bytes; it sends each at the same time
+    after its own ping, that of the longest range.
+    """
+    model = sensor.sensor_model
     timing = model.timing
+    if sensor.driver.is_serial:
+        return AnswerTiming(0.0, timing.deadline_s, timing.s_per_cm * 100, timing.answer_s(model.maximum_cm))
     first_answer_s = timing.answer_s(model.minimum_cm) if adaptive else timing.deadline_s
     return AnswerTiming(first_answer_s, timing.deadline_s, timing.s_per_cm * 100)
 
@@ -98,7 +106,7 @@ def maximum_m(sensor: SensorSettings, temperature_c: float | None) -> float:
     """
     model = sensor.sensor_model
     range_m = model.maximum_cm / 100
-    if temperature_c is None or model.medium != "sound":
+    if temperature_c is None or not model.depends_on_air:
         return range_m
     return compensate_range(range_m, temperature_c, model.calibration_temperature_c)
 

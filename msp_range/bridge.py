@@ -138,7 +138,7 @@ class _Channel:
     def __init__(self, sensor: SensorSettings, airframe: Airframe, memory_s: float) -> None:
         self.calibration = sensor.sensor_model.calibration_curve
         self.calibration_temperature_c = sensor.sensor_model.calibration_temperature_c
-        self.by_sound = sensor.sensor_model.medium == "sound"
+        self.by_sound = sensor.sensor_model.depends_on_air
         self.chain: Chain | None = None
         if sensor.name in airframe.sent_names:
             self.chain = Chain([parameters.make(sensor.sensor_model) for parameters in airframe.filters], memory_s)
@@ -249,7 +249,7 @@ class Bridge:
         self._replayed = replayed
         self._attitude, self._motion = AttitudeTrack(), VerticalMotion()
         self._fusion = fusion_of(airframe, self._attitude, self._motion)
-        self._fused_by_sound = any(sensor.sensor_model.medium == "sound" for sensor in airframe.downward)
+        self._fused_by_sound = any(sensor.sensor_model.depends_on_air for sensor in airframe.downward)
         self._acceptance_watch = acceptance_of(airframe)
         self.acceptance: Acceptance | None = None
         self.link = Link(

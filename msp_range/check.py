@@ -36,6 +36,8 @@ def lines(airframe: Airframe) -> Iterator[str]:
     order = ", then ".join(" with ".join(group) for group in airframe.polling_groups)
     faster = f", {near.ping_interval_s:g} s below {near.below_m:g} m" if near else ""
     yield f"polling: {order}; {airframe.polling_interval_s:g} s apart{faster}"
+    if by_themselves := [sensor.name for sensor in airframe.sensors if sensor.driver.is_serial]:
+        yield f"{', '.join(by_themselves)}: not pinged; each range is read when the sensor has sent it"
     yield from _streams(airframe)
     watch = sensor_watch_of(airframe)
     yield f"sensor watch: off, {watch}" if isinstance(watch, str) else "sensor watch: on"
@@ -52,7 +54,7 @@ def _table(airframe: Airframe) -> Table:
         (
             sensor.name,
             str(sensor.id),
-            f"0x{sensor.address:02x}",
+            sensor.shown_address,
             f"{sensor.orientation.value} {sensor.orientation.name}",
             "yes" if sensor.name in airframe.sent_names and not airframe.send.nothing else "no",
             "yes" if sensor.name in airframe.fused_names else "no",

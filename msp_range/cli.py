@@ -126,6 +126,11 @@ def driver_of(text: str) -> "type[Driver]":
         raise ConfigError(f"--driver: found {text!r}; {error}") from None
     if driver is None:
         raise ConfigError(f"--driver: found {text!r}; expected a kind of sensor that the bridge has a driver for")
+    if driver.is_serial:
+        raise ConfigError(
+            f"--driver {text}: {driver.part} is on a serial port and has no address on the I2C bus; "
+            "msp-range doctor AIRFRAME.yaml reads it"
+        )
     return driver
 
 

@@ -222,7 +222,9 @@ class Airframe(Section):
     def _consistent(self) -> "Airframe":
         names = [sensor.name for sensor in self.sensors]
         _refuse_twice("sensors", "name", names)
-        _refuse_twice("sensors", "address", [f"0x{sensor.address:02x}" for sensor in self.sensors])
+        _refuse_twice("sensors", "address", [sensor.shown_address for sensor in self.sensors])
+        if any(sensor.shown_address == str(parse_url(self.link.url)) for sensor in self.sensors):
+            raise ValueError(f"sensors: {self.link.url} is the link to the autopilot; a sensor has a port of its own")
         ids = [sensor.id for sensor in self.sensors] + ([self.send.fused.id] if self.send.fused else [])
         _refuse_twice("sensors and send.fused", "id", ids)
         self._check_groups(names)
@@ -290,6 +292,11 @@ class Airframe(Section):
                 )
 
     @property
+    def on_i2c(self) -> list[SensorSettings]:
+        """The sensors on the I2C bus; the others have serial ports."""
+        return [sensor for sensor in self.sensors if not sensor.driver.is_serial]
+
+    @property
     def sent_names(self) -> list[str]:
         """Sensors with a stream of their own."""
         if self.send.sensors == "all":
@@ -327,8 +334,8 @@ class Airframe(Section):
 
     @property
     def maximum_by_sound_m(self) -> float:
-        """Longest range of its ultrasonic sensors [m]; 0 if there are none."""
-        by_sound = [sensor.sensor_model for sensor in self.sensors if sensor.sensor_model.medium == "sound"]
+        """Longest range of the sensors whose ranges depend on the air [m]; 0 if there are none."""
+        by_sound = [sensor.sensor_model for sensor in self.sensors if sensor.sensor_model.depends_on_air]
         return max([model.maximum_cm for model in by_sound], default=0) / 100
 
     @property

@@ -46,7 +46,8 @@ class FlownAirframe:
         self._log = log
         self.airframe = airframe
         self.bus = KernelBus(self.airframe.bus)
-        self.bus.claim()
+        if airframe.on_i2c:
+            self.bus.claim()
 
     def has_changed(self, bridge: Bridge) -> bool:
         """Read the file again if that was requested and is allowed now; True if the airframe has changed."""
@@ -61,7 +62,8 @@ class FlownAirframe:
             airframe = self._load()
             bus = KernelBus(airframe.bus)
             if bus.path != self.bus.path:
-                bus.claim()
+                if airframe.on_i2c:
+                    bus.claim()
                 self.bus.close()
                 self.bus = bus
         except Exception as error:  # after any error the vehicle continues with the present airframe

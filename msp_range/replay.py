@@ -14,6 +14,7 @@ from rich.progress import BarColumn, TimeRemainingColumn
 
 from msp_range.assembly import polled_sensors
 from msp_range.bridge import Bridge, Counts, Records
+from msp_range.bus import Address
 from msp_range.clock import Clock, SystemClock
 from msp_range.config import Airframe
 from msp_range.fusion import Received
@@ -210,7 +211,7 @@ def _refuse_gaps(pings: Pings, source: Path) -> None:
             )
 
 
-def _by_address(airframe: Airframe, pings: Pings, source: Path) -> dict[int, Sequence[RecordedPing]]:
+def _by_address(airframe: Airframe, pings: Pings, source: Path) -> dict[Address, Sequence[RecordedPing]]:
     """Recorded pings by sensor name -> by the addresses of the airframe's sensors.
 
     Raises

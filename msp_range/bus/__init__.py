@@ -1,3 +1,3 @@
-"""The I2C bus behind a two-verb interface, so that a driver runs on a kernel bus, an emulation or a recording."""
+"""I2C bus and serial ports behind a two-verb interface, for a driver on real wires, an emulation or a recording."""
 
-from msp_range.bus.base import Bus, BusError
+from msp_range.bus.base import Address, Bus, BusError, shown

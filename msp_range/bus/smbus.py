@@ -1,4 +1,4 @@
-"""The kernel's I2C bus through smbus2.
+"""The kernel's I2C bus through smbus2, and the serial ports next to it.
 
 Every transfer is one ``I2C_RDWR`` call with one message: SMBus register reads would write a byte first and so
 start a new measurement, and calls of ``write_byte`` from two threads can go to the wrong address.
@@ -17,10 +17,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from msp_range.bus.base import BusError
+from msp_range.bus.base import Address, BusError
 
 if TYPE_CHECKING:
     from smbus2 import SMBus
+
+    from msp_range.bus.serial_ports import SerialPorts
 
 
 _Prepared = tuple[Any, Callable[[], object]]
@@ -53,7 +55,7 @@ class BusInUse(BusNotOpened):
 
 
 class KernelBus:
-    """``/dev/i2c-N`` as a Bus, locked against other processes that use it by this class.
+    """``/dev/i2c-N`` and this computer's serial ports as a Bus, locked against other processes that use this class.
 
     Parameters
     ----------
@@ -75,19 +77,33 @@ class KernelBus:
         self.waiting = threading.Lock()
         self.waiting.acquire()
         self._prepared: dict[tuple[int, bytes | int], _Prepared] = {}
+        self._ports: SerialPorts | None = None
 
     @property
     def path(self) -> Path:
         """The device file."""
         return Path(f"/dev/i2c-{self._bus}" if isinstance(self._bus, int) else self._bus)
 
-    def write(self, address: int, data: bytes) -> None:
+    def write(self, address: Address, data: bytes) -> None:
         """Send ``data`` to ``address`` as one message."""
-        self._transfer("write", address, data)
+        if isinstance(address, str):
+            self._serial.write(address, data)
+        else:
+            self._transfer("write", address, data)
 
-    def read(self, address: int, count: int) -> bytes:
+    def read(self, address: Address, count: int) -> bytes:
         """Read ``count`` bytes from ``address`` as one message."""
+        if isinstance(address, str):
+            return self._serial.read(address, count)
         return bytes(self._transfer("read", address, count))
+
+    @property
+    def _serial(self) -> "SerialPorts":
+        if self._ports is None:
+            from msp_range.bus.serial_ports import SerialPorts
+
+            self._ports = SerialPorts()
+        return self._ports
 
     def _transfer(self, verb: str, address: int, content: bytes | int) -> Any:
         """Write ``content``, or read as many bytes as it says; returns the message of smbus2."""
@@ -115,8 +131,9 @@ class KernelBus:
         self._prepared[address, content] = prepared
         return prepared
 
-    def busy_s(self, address: int) -> None:
-        """Unknown."""
+    def busy_s(self, address: Address) -> float | None:
+        """Unknown on I2C; a serial port can always be read."""
+        return 0.0 if isinstance(address, str) else None
 
     def reopen(self) -> None:
         """Close and open the device file; raises BusInUse if another process has locked it."""
@@ -124,7 +141,7 @@ class KernelBus:
 
         from smbus2 import SMBus
 
-        self.close()
+        self._close_i2c()
         try:
             smbus: Any = SMBus(str(self.path))
         except OSError as error:
@@ -155,7 +172,12 @@ class KernelBus:
             pass  # the first transfer tries again, and reports it
 
     def close(self) -> None:
-        """Close the device file."""
+        """Close the device file and all ports."""
+        self._close_i2c()
+        if self._ports is not None:
+            self._ports.close()
+
+    def _close_i2c(self) -> None:
         self._prepared.clear()
         if self._smbus is not None:
             self._smbus.close()

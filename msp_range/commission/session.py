@@ -138,7 +138,7 @@ class RunningBridge:
         if greeting is None:
             raise ConfigError(ENDED)
         flown = {sensor["name"]: sensor["address"] for sensor in greeting.message["sensors"]}
-        if flown != {sensor.name: f"0x{sensor.address:02x}" for sensor in airframe.sensors}:
+        if flown != {sensor.name: sensor.shown_address for sensor in airframe.sensors}:
             raise ConfigError(
                 "the running bridge has other sensors or addresses than the file: sudo systemctl reload msp-range if "
                 "it flies this file, else sudo systemctl stop msp-range"
@@ -206,7 +206,8 @@ class Session:
         bus = self.make_bus(airframe.bus)
         with ExitStack() as stack:
             try:
-                bus.claim()
+                if airframe.on_i2c:
+                    bus.claim()
             except BusInUse as error:
                 connection = connect(sockets())
                 if connection is None:

@@ -104,12 +104,19 @@ def examine(
         yield unknown("airframe file", doubt, "correct it if that is so")
     examined, in_use = SensorExamination([], {}, None), False
     bus_path = str(KernelBus(airframe.bus).path)
-    if (yield from while_right(check_interface(computer, bus_path))):
-        if any(sensor.driver.stretches_clock for sensor in airframe.sensors):
+    is_ready = False
+    for sensor in airframe.sensors:
+        if isinstance(port := parse_url(sensor.shown_address) if sensor.driver.is_serial else None, SerialUrl):
+            is_ready |= yield from while_right(check_port(computer, port))
+    if airframe.on_i2c and (yield from while_right(check_interface(computer, bus_path))):
+        is_ready = True
+        if any(sensor.driver.stretches_clock for sensor in airframe.on_i2c):
             yield check_clock(computer, bus_path)
+    if is_ready:
         bus = make_bus(airframe.bus)
         try:
-            bus.claim()
+            if airframe.on_i2c:
+                bus.claim()
         except BusInUse as error:
             in_use = True
             remedy = "sudo systemctl stop msp-range, then again"

@@ -11,7 +11,7 @@ from statistics import median
 from typing import NamedTuple
 
 from msp_range.assembly import polled_sensors
-from msp_range.bus import Bus, BusError
+from msp_range.bus import Address, Bus, BusError, shown
 from msp_range.clock import Clock
 from msp_range.config import Airframe, SensorSettings
 from msp_range.doctor.finding import UNKNOWN, WRONG, Finding, first_of, right, unknown, wrong
@@ -75,14 +75,16 @@ def examine_sensors(airframe: Airframe, bus: Bus, clock: Clock) -> SensorExamina
 
 def _addresses(airframe: Airframe, bus: Bus, clock: Clock) -> tuple[list[Finding], list[SensorSettings]]:
     step = "addresses"
+    sensors, on_ports = airframe.on_i2c, [sensor for sensor in airframe.sensors if sensor.driver.is_serial]
+    if not sensors:
+        return [], on_ports
     try:
         found = [device.address for device in scan(bus, clock, identify=False)]
     except BusError as error:
         held = f"the bus does not move (errno {error.errno}): SDA or SCL is held low"
         remedy = "find the device that holds it: disconnect one after the other; check for a short and for pull-ups"
         locked_up = error.locked_up, held, remedy
-        return [first_of(step, locked_up, (True, str(error), "check the adapter and its cable"))], []
-    sensors = airframe.sensors
+        return [first_of(step, locked_up, (True, str(error), "check the adapter and its cable"))], on_ports
     present = [sensor for sensor in sensors if sensor.address in found]
     others = [address for address in found if address not in {sensor.address for sensor in sensors}]
     listed = ", ".join(f"{each.name} answers at {_both(each.address)}" for each in present)
@@ -102,21 +104,21 @@ def _addresses(airframe: Airframe, bus: Bus, clock: Clock) -> tuple[list[Finding
         (True, listed),
     )
     if answers.verdict is WRONG:
-        return [answers], []
+        return [answers], on_ports
     findings = [answers] if present else []
-    names = {sensor.address: sensor.name for sensor in present}
+    names: dict[Address, str] = {sensor.address: sensor.name for sensor in present}
     findings += [_absent(sensor, others, names) for sensor in sensors if sensor not in present]
     if others:
         listed = "; ".join(
             f"{_both(other)} {f'({OTHERS[other]})' if other in OTHERS else ''}".strip() for other in others
         )
         findings.append(right("other devices", f"the airframe file does not name {listed}"))
-    return findings, present
+    return findings, present + on_ports
 
 
-def _absent(sensor: SensorSettings, others: Sequence[int], present: Mapping[int, str]) -> Finding:
+def _absent(sensor: SensorSettings, others: Sequence[int], present: Mapping[Address, str]) -> Finding:
     text, factory = f"nothing answers at {_both(sensor.address)}", sensor.driver.default_address
-    move = f"msp-range address 0x{factory:02x} 0x{sensor.address:02x}"
+    move = f"msp-range address 0x{factory:02x} {sensor.shown_address}"
     return first_of(
         f"address of {sensor.name}",
         (
@@ -139,13 +141,15 @@ def _absent(sensor: SensorSettings, others: Sequence[int], present: Mapping[int,
     )
 
 
-def _both(address: int) -> str:
+def _both(address: Address) -> str:
     """An address in the form of this project, and in that of some data sheets."""
-    return f"0x{address:02x} (0x{address << 1:02X} in the 8-bit form)"
+    return shown(address) if isinstance(address, str) else f"0x{address:02x} (0x{address << 1:02X} in the 8-bit form)"
 
 
 def _recognised(sensor: SensorSettings, bus: Bus, clock: Clock) -> Finding | None:
     """What is wrong where the device is not the sensor that it should be, or is two."""
+    if isinstance(sensor.address, str):
+        return None
     try:
         found = sensor.driver.identify(bus, clock, sensor.address)
     except BusError as error:
@@ -154,7 +158,7 @@ def _recognised(sensor: SensorSettings, bus: Bus, clock: Clock) -> Finding | Non
         return None
     return wrong(
         f"sensor {sensor.name}",
-        f"0x{sensor.address:02x}: {found.answer}",
+        f"{sensor.shown_address}: {found.answer}",
         "connect one at a time, and give each an address of its own: msp-range address",
     )
 

@@ -196,6 +196,9 @@ class SensorModel(Section):
     """What it ranges with. Light and radio do not change with the air: no correction for temperature, a ray instead of
     a beam that detects a surface from the side, and `breakaway` is half the beam's divergence."""
 
+    compensates_air: bool = False
+    """Whether the sensor itself corrects its ranges for the temperature of the air; the bridge then does not."""
+
     minimum_cm: float = Field(ge=0.0)
     """Shortest reading; a nearer surface reads this too [cm]. Whole centimetres, where a driver answers."""
 
@@ -322,6 +325,11 @@ class SensorModel(Section):
     def _is_a_whole_beam(self) -> "SensorModel":
         _beam(self._points)
         return self
+
+    @property
+    def depends_on_air(self) -> bool:
+        """Whether its ranges have to be corrected for the air."""
+        return self.medium == "sound" and not self.compensates_air
 
     @property
     def answered_cm(self) -> float:

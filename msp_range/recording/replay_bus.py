@@ -1,6 +1,6 @@
 """A bus whose sensors answer with readings that were measured before.
 
-The bridge's own driver pings and reads as in a flight, and gets the recorded answers of each 7-bit address in their
+The bridge's own driver pings and reads as in a flight, and gets the recorded answers of each address in their
 order. The recorded time of the next ping is `ReplayBus.next_ping`; whoever drives the polling sleeps until then, so
 that on a virtual clock the readings have their recorded times.
 """
@@ -8,7 +8,7 @@ that on a virtual clock the readings have their recorded times.
 import errno
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from msp_range.bus.base import BusError
+from msp_range.bus.base import Address, BusError
 from msp_range.clock import Clock
 from msp_range.sensors.base import Playback, RecordedPing
 
@@ -23,11 +23,11 @@ class ReplayBus:
     Parameters
     ----------
     pings
-        By 7-bit address, in the order of their times.
+        By address, in the order of their times.
     clock
         The bridge's clock.
     playbacks
-        Function that makes the recorded sensor at each 7-bit address: a driver's ``playback``.
+        Function that makes the recorded sensor at each address: a driver's ``playback``.
 
     Attributes
     ----------
@@ -38,19 +38,19 @@ class ReplayBus:
 
     def __init__(
         self,
-        pings: Mapping[int, Sequence[RecordedPing]],
+        pings: Mapping[Address, Sequence[RecordedPing]],
         clock: Clock,
-        playbacks: Mapping[int, Callable[[], Playback]],
+        playbacks: Mapping[Address, Callable[[], Playback]],
     ) -> None:
         self._clock = clock
         self._sensors = {address: _Sensor(of_sensor, playbacks[address]()) for address, of_sensor in pings.items()}
         self.behind_s = 0.0
 
-    def next_ping(self, address: int) -> RecordedPing | None:
+    def next_ping(self, address: Address) -> RecordedPing | None:
         """The sensor's next ping; None where the record has no more of it."""
         return self._sensors[address].next if address in self._sensors else None
 
-    def write(self, address: int, data: bytes) -> None:
+    def write(self, address: Address, data: bytes) -> None:
         """Start the next recorded ranging where ``data`` is the range command; anything else does nothing."""
         now_s = self._clock.now()
         sensor = self._sensors.get(address)
@@ -64,7 +64,7 @@ class ReplayBus:
             if ping.word is None and ping.ready_s <= 0:
                 raise BusError(errno.EREMOTEIO, "write", address)
 
-    def read(self, address: int, count: int) -> bytes:
+    def read(self, address: Address, count: int) -> bytes:
         """Return the answer to the last ping."""
         sensor = self._sensors.get(address)
         answer = None
@@ -74,7 +74,7 @@ class ReplayBus:
             raise BusError(errno.EREMOTEIO, "read", address)
         return answer
 
-    def busy_s(self, address: int) -> float:
+    def busy_s(self, address: Address) -> float:
         """0: the bridge asks every few milliseconds, and so reads each answer as early as it was read in the flight."""
         return 0.0
 

@@ -7,7 +7,7 @@ changes them, its default address, how its address is changed, and how it behave
 from abc import abstractmethod
 from typing import ClassVar, NamedTuple, Protocol
 
-from msp_range.bus import Bus, BusError
+from msp_range.bus import Address, Bus, BusError
 from msp_range.clock import Clock
 from msp_range.errors import UserError
 from msp_range.reading import Decoded
@@ -34,12 +34,12 @@ class AddressError(UserError, ValueError):
 class RangeSensor(Protocol):
     """One range finder on a bus: ping it, then read until it answers."""
 
-    address: int
-    """Its 7-bit address on the bus."""
+    address: Address
+    """Its 7-bit address on the bus, or its serial port."""
 
     @abstractmethod
     def ping(self) -> None:
-        """Start a measurement; raises BusError if the sensor does not acknowledge."""
+        """Start a measurement, or ask for the next one; raises BusError if the sensor does not acknowledge."""
 
     @abstractmethod
     def answer(self) -> Decoded:
@@ -90,9 +90,11 @@ class Driver(RangeSensor):
     bus
         The bus.
     address
-        Its 7-bit address.
+        Its 7-bit address, or its serial port.
     """
 
+    is_serial: ClassVar[bool] = False
+    """Whether it is on a serial port of its own, see `SerialDriver`."""
     part: ClassVar[str]
     """The part's name with its article, for messages."""
     default_address: ClassVar[int]
@@ -104,7 +106,7 @@ class Driver(RangeSensor):
     stretches_clock: ClassVar[bool] = False
     """Whether it holds the bus clock low while it is not ready; not every computer waits for that."""
 
-    def __init__(self, bus: Bus, address: int) -> None:
+    def __init__(self, bus: Bus, address: Address) -> None:
         self._bus = bus
         self.address = address
 
@@ -132,6 +134,33 @@ class Driver(RangeSensor):
     @abstractmethod
     def playback() -> Playback:
         """The behaviour of such a sensor in a replay; a driver names the class."""
+
+
+class SerialDriver(Driver):
+    """A kind of range finder on a serial port of its own, which measures by itself and sends each range.
+
+    A ping drops what has arrived, so that the answer is what the sensor sends after it, and nothing old is read as new.
+    Such a sensor has no address to find or to change.
+    """
+
+    is_serial = True
+    default_address = 0
+    keeps_address = True
+    busy_s = 0.0
+
+    def ping(self) -> None:
+        """Drop what has arrived."""
+        self._bus.write(self.address, b"")
+
+    @classmethod
+    def identify(cls, bus: Bus, clock: Clock, address: int) -> FoundDevice:
+        """Nothing at an address of the bus is such a sensor."""
+        return FoundDevice(address, False, f"not {cls.part}: that is on a serial port")
+
+    @classmethod
+    def move(cls, bus: Bus, clock: Clock, old: int, new: int) -> None:
+        """Refuse."""
+        raise AddressError(f"{cls.part} is on a serial port, and has no address")
 
 
 def acknowledges(bus: Bus, address: int) -> bool:

@@ -14,7 +14,7 @@ bytes from 0x0F with 0x80 for auto-increment: centimetres, most significant byte
 
 import errno
 
-from msp_range.bus import Bus, BusError
+from msp_range.bus import Address, Bus, BusError
 from msp_range.clock import Clock
 from msp_range.reading import Decoded, Status
 from msp_range.sensors.base import (
@@ -188,7 +188,7 @@ class LidarLiteV3(Driver):
             clock.sleep_until(clock.now() + SETTLE_S)
 
 
-def _registers(bus: Bus, address: int, register: int, count: int) -> bytes:
+def _registers(bus: Bus, address: Address, register: int, count: int) -> bytes:
     """Read registers: their number in a transfer of its own, then their values."""
     bus.write(address, bytes([register]))
     return bus.read(address, count)

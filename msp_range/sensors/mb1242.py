@@ -7,7 +7,7 @@ the time of the answer. A write of 0xAA 0xA5 and an address in 8-bit form change
 without power.
 """
 
-from msp_range.bus import Bus, BusError
+from msp_range.bus import Address, Bus, BusError
 from msp_range.clock import Clock
 from msp_range.reading import Decoded, Status
 from msp_range.sensors.base import POLL_INTERVAL_S, Driver, FoundDevice, acknowledges, stranger
@@ -111,7 +111,7 @@ class MB1242(Driver):
     busy_s = RANGING_S
     stretches_clock = True
 
-    def __init__(self, bus: Bus, address: int) -> None:
+    def __init__(self, bus: Bus, address: Address) -> None:
         super().__init__(bus, address)
         self._pinged = False
 

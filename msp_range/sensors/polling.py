@@ -28,6 +28,10 @@ SOONER_S = 0.0005
 """After a first attempt that was answered the next one comes this much sooner [s], until one is in vain: only that
 shows how soon there is an answer. Smaller follows a sensor that becomes quicker more slowly, larger makes more attempts
 in vain."""
+STALE_S = 0.02
+"""Where a sensor that measures by itself is asked later than planned by more than this, what has arrived meanwhile is
+dropped, since nobody knows when it came [s]: at 2 m/s the height would be off by 4 cm. Larger makes readings older than
+they seem, smaller loses a reading to each hiccup of a busy computer."""
 REOPEN_INTERVAL_S = 1.0
 """Time between two attempts to reopen a bus that is locked up or missing [s]."""
 
@@ -186,7 +190,10 @@ class Poller:
             self._pending.remove(pending)
             late = BusError(errno.ETIME, "read", sensor.device.address)
             return self._no_answer(sensor, pending.ping_s, now_s, late)
+        sent_s = sensor.timing.sent_s
         try:
+            if sent_s is not None and now_s - pending.next_try_s > STALE_S:
+                sensor.device.ping()
             decoded = sensor.device.answer()
         except BusError as error:
             # Compare sums, not differences: in virtual time an attempt exactly at the deadline has to count.
@@ -201,16 +208,15 @@ class Poller:
             self._durations[sensor.name] = _duration(pending, decoded.earliest_s, now_s, before)
         answered_s = self._clock.now()
         decoded = decoded.arrived_after(answered_s - pending.from_s)
-        return Ranging(reading_of(sensor, pending.ping_s, decoded), pending.ping_s, answered_s)
+        ping_s = pending.ping_s if sent_s is None else answered_s - sent_s
+        return Ranging(reading_of(sensor, ping_s, decoded), pending.ping_s, answered_s)
 
     def _no_answer(self, sensor: PolledSensor, ping_s: float, now_s: float, error: BusError) -> Ranging | None:
         """The failed measurement; None if the bus has to be reopened first, in a separate step."""
         # Without its traceback, whose frames hold it in turn: only a garbage collection would release them.
         kept = error.with_traceback(None)
         ranging = Ranging(Reading(ping_s, sensor.name, Status.NO_ANSWER), ping_s, now_s, kept)
-        # An adapter that was unplugged and one whose device does not acknowledge can give the same ENODEV.
-        doubtful = error.bus_at_fault or error.errno == errno.ENODEV
-        if not doubtful or now_s - self._reopened_s < REOPEN_INTERVAL_S:
+        if not error.calls_for_reopening or now_s - self._reopened_s < REOPEN_INTERVAL_S:
             return ranging
         self._reopened_s = now_s
         self._to_reopen = ranging

@@ -38,6 +38,8 @@ class AnswerTiming(NamedTuple):
     """Last attempt to read."""
     echo_s_per_m: float = 5.8e-3
     """Two-way time of flight that the sensor assumes per metre of range [s/m]."""
+    sent_s: float | None = None
+    """Time from a measurement's ping to its answer, of a sensor that measures by itself; None: it is pinged."""
 
 
 class PolledSensor(NamedTuple):

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from msp_range.plugins import installed, load_entry
 from msp_range.sensors.base import Driver
 from msp_range.sensors.lidar_lite_v3 import LidarLiteV3
+from msp_range.sensors.maxsonar import MaxSonarCm, MaxSonarMm, MaxSonarMm10m
 from msp_range.sensors.mb1242 import MB1242
 
 GROUP = "msp_range.drivers"
@@ -19,6 +20,9 @@ NONE = "none"
 DRIVERS: dict[str, type[Driver]] = {
     "mb1242": MB1242,
     "lidar_lite_v3": LidarLiteV3,
+    "maxsonar_cm": MaxSonarCm,
+    "maxsonar_mm": MaxSonarMm,
+    "maxsonar_mm_10m": MaxSonarMm10m,
 }
 """Drivers by their name in model files. The first one is the default if the kind of sensor is not stated: for a table
 of readings without an airframe, or a device at an address that is not any driver's default."""

@@ -35,7 +35,7 @@ def airframe_message(airframe: Airframe) -> dict[str, Any]:
             {
                 "name": sensor.name,
                 "model": sensor.sensor_model.name,
-                "address": f"0x{sensor.address:02x}",
+                "address": sensor.shown_address,
                 "position_m": sensor.position_m,
                 "boresight": sensor.boresight,
                 "in_fused": sensor.name in airframe.fused_names,

@@ -13,7 +13,7 @@ from typing import Any
 
 from numpy.random import SeedSequence, default_rng
 
-from msp_range.bus import Bus
+from msp_range.bus import Address, Bus
 from msp_range.bus.smbus import KernelBus
 from msp_range.clock import Clock, VirtualClock
 from msp_range.commission.operator import PersonAtTerminal
@@ -251,11 +251,11 @@ class EmulatedBus(KernelBus):
     def reopen(self) -> None:
         """It is always open."""
 
-    def write(self, address: int, data: bytes) -> None:
+    def write(self, address: Address, data: bytes) -> None:
         """Write to the emulated sensors."""
         self._devices.write(address, data)
 
-    def read(self, address: int, count: int) -> bytes:
+    def read(self, address: Address, count: int) -> bytes:
         """Read from the emulated sensors."""
         return self._devices.read(address, count)
 

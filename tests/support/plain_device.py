@@ -24,7 +24,7 @@ class PlainDevice:
     busy_until_s = float("-inf")
 
     def __init__(self, address: int, answer: bytes = b"", faults: Sequence[Fault] = ()) -> None:
-        self.address = address
+        self.address: int | str = address
         self.faults = tuple(faults)
         self._answer = answer
 

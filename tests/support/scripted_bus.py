@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from msp_range.bus.base import BusError
+from msp_range.bus.base import Address, BusError
 from msp_range.clock import Clock
 
 
@@ -50,15 +50,15 @@ class ScriptedBus:
         self._script = script
         self.done = 0
 
-    def write(self, address: int, data: bytes) -> None:
+    def write(self, address: Address, data: bytes) -> None:
         self._next("write", address, written=data)
 
-    def read(self, address: int, count: int) -> bytes:
+    def read(self, address: Address, count: int) -> bytes:
         answer = self._next("read", address, count=count).answer
         assert len(answer) == count
         return answer
 
-    def busy_s(self, address: int) -> None: ...
+    def busy_s(self, address: Address) -> None: ...
 
     def reopen(self) -> None:
         self._next("reopen", 0)
@@ -66,7 +66,7 @@ class ScriptedBus:
     def close(self) -> None:
         pytest.fail("the bus was closed")
 
-    def _next(self, verb: str, address: int, written: bytes = b"", count: int | None = None) -> Expected:
+    def _next(self, verb: str, address: Address, written: bytes = b"", count: int | None = None) -> Expected:
         now_s = self._clock.now()
         asked = f"{verb} 0x{address:02x} {written.hex() if count is None else count} at {now_s:.4f} s"
         if self.done == len(self._script):

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import pytest
 
+from msp_range.bus import Address
 from msp_range.clock import VirtualClock
 from msp_range.config import load_airframe
 from msp_range.doctor.sensors import examine_sensors
@@ -19,7 +20,7 @@ class LateBus(EmulatedBus):
         super().__init__(devices, clock.now)
         self._clock, self._late_s = clock, late_s
 
-    def write(self, address: int, data: bytes) -> None:
+    def write(self, address: Address, data: bytes) -> None:
         self._clock.sleep_until(self._clock.now() + self._late_s)
         super().write(address, data)
 

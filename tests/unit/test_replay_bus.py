@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msp_range.acoustics.air import Air
-from msp_range.bus.base import Bus, BusError
+from msp_range.bus.base import Address, Bus, BusError
 from msp_range.clock import VirtualClock
 from msp_range.reading import Reading, Status
 from msp_range.recording.error import RecordingError
@@ -37,7 +37,7 @@ def next_ping_s(bus: ReplayBus, address: int) -> float:
     return ping.ping_s
 
 
-def played(pings: dict[int, list[RecordedPing]], clock: VirtualClock) -> ReplayBus:
+def played(pings: dict[Address, list[RecordedPing]], clock: VirtualClock) -> ReplayBus:
     return ReplayBus(pings, clock, dict.fromkeys(pings, MB1242.playback))
 
 

@@ -28,7 +28,7 @@ STEPS: dict[str, Step] = {
         wires.run,
         lambda airframe: [
             airframe.bus,
-            sorted([sensor.address, sensor.model] for sensor in airframe.sensors),
+            sorted([sensor.shown_address, sensor.model] for sensor in airframe.sensors),
             airframe.link.model_dump(),
         ],
     ),

@@ -1,4 +1,4 @@
-"""MAVLink over a serial port: raw, 8 data bits, no parity, one stop bit, no flow control, exclusive use."""
+"""MAVLink over a serial port."""
 
 import fcntl
 import os
@@ -7,6 +7,7 @@ import termios
 from contextlib import suppress
 from io import FileIO
 
+from msp_range.bus.serial_ports import open_port
 from msp_range.mavlink.transport.stream import FRAME_DEADLINE_S, FrameStream, StreamTransport
 from msp_range.mavlink.transport.url import SerialUrl
 
@@ -23,29 +24,11 @@ class Serial(StreamTransport):
     _handle: FileIO | None
 
     def _open(self) -> bool:
-        # O_NONBLOCK: do not wait for a carrier; O_NOCTTY: a ^C that arrives must not end the bridge.
         try:
-            self._handle = FileIO(os.open(self._url.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK), "r+")
+            self._handle = open_port(self._url.path, self._url.baud)
         except FileNotFoundError as error:
             hint = "; on a Raspberry Pi: enable_uart=1 in config.txt" if self._url.path.startswith(UARTS) else ""
             raise OSError(error.errno, f"there is no such port{hint}") from None
-        port, speed = self._handle, getattr(termios, f"B{self._url.baud}")
-        mode = termios.CS8 | termios.CREAD | termios.CLOCAL
-        try:
-            # This is the lock of pyserial and most terminal programs, and the only one that root respects.
-            fcntl.flock(port, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            fcntl.ioctl(port, termios.TIOCEXCL)
-            control = termios.tcgetattr(port)[6]
-            # With VMIN 0 'nothing has arrived' and 'the device is gone' would look the same.
-            control[termios.VMIN] = 1
-            control[termios.VTIME] = 0
-            termios.tcsetattr(port, termios.TCSANOW, [0, 0, mode, 0, speed, speed, control])
-            if termios.tcgetattr(port)[5] != speed:
-                raise OSError("the device does not have this baud rate")
-        except BlockingIOError:
-            raise OSError("the port is in use by another program") from None
-        except termios.error as error:  # not an OSError, though it has the same two arguments
-            raise OSError(*error.args) from None
         self._stream = FrameStream(self._write, self._clock, self.stats)
         return True
 

@@ -174,7 +174,7 @@ def rangings(campaign: Campaign, point: Point, columns: Columns, bus: Bus, clock
     for name in point.setup.sensors:
         sensor = campaign.sensor(name)
         devices[name] = _RecordedSensor(name, sensor.driver(bus, sensor.address), clock, pings_s)
-        polled.append(PolledSensor(name, devices[name], answer_timing(sensor.sensor_model)))
+        polled.append(PolledSensor(name, devices[name], answer_timing(sensor)))
         interval_s = max(interval_s, sensor.sensor_model.timing.ping_interval_s)
     groups = [polled] if point.firing == "simultaneous" else [[single] for single in polled]
     start_s = clock.now()

@@ -215,7 +215,7 @@ class Campaign(Section):
     @model_validator(mode="after")
     def _consistent(self) -> "Campaign":
         names = [sensor.name for sensor in self.sensors]
-        for what, values in (("name", names), ("address", [f"0x{sensor.address:02x}" for sensor in self.sensors])):
+        for what, values in (("name", names), ("address", [sensor.shown_address for sensor in self.sensors])):
             if twice := repeated(values):
                 raise ValueError(f"sensors: {what} {twice[0]} is given more than once; each needs its own")
         for number, condition in enumerate(self.conditions):

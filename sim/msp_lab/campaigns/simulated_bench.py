@@ -19,7 +19,7 @@ from msp_lab.campaigns.campaign import Campaign
 from msp_lab.campaigns.collect import Arranged, Decision, Place
 from msp_lab.campaigns.plan import Point, reading_s, setup_s
 from msp_lab.campaigns.watch import Outlier, PointWatch
-from msp_range.bus import Bus
+from msp_range.bus import Address, Bus
 from msp_range.clock import Clock, VirtualClock
 from msp_range.reading import Reading
 from msp_sim.device.bus import Device, EmulatedBus
@@ -59,12 +59,12 @@ class TimedBus(EmulatedBus):
         super().__init__(devices, clock.now)
         self._clock = clock
 
-    def write(self, address: int, data: bytes) -> None:
+    def write(self, address: Address, data: bytes) -> None:
         """Send ``data``, address first."""
         self._pass(1 + len(data))
         super().write(address, data)
 
-    def read(self, address: int, count: int) -> bytes:
+    def read(self, address: Address, count: int) -> bytes:
         """Read ``count`` bytes; a device that does not acknowledge its address ends the transfer there."""
         self._pass(1)
         answer = super().read(address, count)

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from msp_range.bus.base import BusError
+from msp_range.bus.base import Address, BusError
 from msp_sim.device.device import Fault, NotAcknowledged
 
 ROUNDING_S = 1e-6
@@ -20,7 +20,7 @@ roundings. Any value far below the interval between two attempts will do."""
 class Device(Protocol):
     """Anything with an address on the bus."""
 
-    address: int
+    address: Address
     also_at: int | None
     """A second address, of kinds that have one while it is changed."""
     faults: tuple[Fault, ...]
@@ -73,7 +73,7 @@ class EmulatedBus:
         self._reports_busy = reports_busy and not any(device.faults for device in devices)
         self._closed = False
 
-    def write(self, address: int, data: bytes) -> None:
+    def write(self, address: Address, data: bytes) -> None:
         """Send ``data`` to every device at ``address``."""
         self._check_lines("write", address)
         acknowledged = False
@@ -84,9 +84,9 @@ class EmulatedBus:
                 continue
             acknowledged = True
         if not acknowledged:
-            raise BusError(self._nack_errno, "write", address)
+            raise BusError(errno.ENOENT if isinstance(address, str) else self._nack_errno, "write", address)
 
-    def read(self, address: int, count: int) -> bytes:
+    def read(self, address: Address, count: int) -> bytes:
         """Return the AND of what the devices at ``address`` send."""
         if self._closed or self._lock_ups:
             self._check_lines("read", address)
@@ -98,10 +98,10 @@ class EmulatedBus:
                 continue
             answer = sent if answer is None else bytes(a & b for a, b in zip(answer, sent, strict=True))
         if answer is None:
-            raise BusError(self._nack_errno, "read", address)
+            raise BusError(errno.EAGAIN if isinstance(address, str) else self._nack_errno, "read", address)
         return answer
 
-    def busy_s(self, address: int) -> float:
+    def busy_s(self, address: Address) -> float:
         """For how long no device at ``address`` will answer a read [s]; 0: not reported."""
         if not self._reports_busy:
             return 0.0
@@ -118,10 +118,10 @@ class EmulatedBus:
         """Release the bus; the next transfer opens it again."""
         self._closed = True
 
-    def _at(self, address: int) -> list[Device]:
+    def _at(self, address: Address) -> list[Device]:
         return [device for device in self._devices if address in (device.address, device.also_at)]
 
-    def _check_lines(self, verb: str, address: int) -> None:
+    def _check_lines(self, verb: str, address: Address) -> None:
         if self._closed:
             self.reopen()
         if self._lock_ups:

@@ -62,6 +62,15 @@ FAULT_KINDS = {
 }
 """Every kind of fault and what it looks like from the master."""
 
+SERIAL_FAULT_KINDS = {
+    "half_line": "a line breaks off in its middle",
+    "noise": "bytes that the sensor did not send are within a line",
+    "garbled_digit": "one bit of a line's first digit is wrong, and nothing shows it: 300 reads 200",
+    "wrong_baud": "the port has another rate than the sensor: other bytes arrive, and no end of a line",
+    "unplugged": "the serial adapter is not there, and comes back under the same name",
+}
+"""The same for sensors on a serial port, which show most of the others too."""
+
 ALWAYS_HAPPEN = frozenset({"power_cycle", "locked_up"})
 """Faults with a probability of 1."""
 DRAWN = frozenset({"noisy", "fixed_object", "dust"})
@@ -80,7 +89,7 @@ class Fault:
     """
 
     kind: str
-    """One of `FAULT_KINDS`."""
+    """One of `FAULT_KINDS` or `SERIAL_FAULT_KINDS`."""
     start_s: float
     end_s: float
     """When it lasts [s on the device's clock]. A power cycle or a lock-up may have no length."""
@@ -108,8 +117,8 @@ class Fault:
     """How far down the dust of the kind "dust" is [cm]."""
 
     def __post_init__(self) -> None:
-        if self.kind not in FAULT_KINDS:
-            raise ValueError(f"fault kind {self.kind!r}: expected one of {', '.join(FAULT_KINDS)}")
+        if self.kind not in (known := FAULT_KINDS | SERIAL_FAULT_KINDS):
+            raise ValueError(f"fault kind {self.kind!r}: expected one of {', '.join(known)}")
         if self.end_s < self.start_s or (self.end_s == self.start_s and self.kind not in ALWAYS_HAPPEN):
             raise ValueError(f"fault {self.kind}: end_s {self.end_s}: expected a time after start_s {self.start_s}")
         if not 0.0 < self.probability <= 1.0 or (self.kind in ALWAYS_HAPPEN and self.probability != 1.0):
@@ -131,7 +140,7 @@ class RangeFinder(ABC):
     Parameters
     ----------
     address
-        7-bit address.
+        7-bit address, or serial port.
     now
         The time [s].
     echo
@@ -146,12 +155,12 @@ class RangeFinder(ABC):
 
     Attributes
     ----------
-    address : int
-        7-bit address, as it is now.
+    address : int or str
+        Address, as it is now.
     pings : int
         Range commands accepted so far.
     fault_kinds : frozenset
-        Those of `FAULT_KINDS` that this kind of sensor can show.
+        Kinds of fault that this kind of sensor can show.
 
     Raises
     ------
@@ -172,7 +181,7 @@ class RangeFinder(ABC):
 
     def __init__(
         self,
-        address: int,
+        address: int | str,
         now: Callable[[], float],
         echo: Callable[[float], int],
         timing: DeviceTiming | None = None,

@@ -8,6 +8,7 @@ from importlib.metadata import entry_points
 
 from msp_sim.device.device import RangeFinder
 from msp_sim.device.lidar_lite_v3 import EmulatedLidarLiteV3
+from msp_sim.device.maxsonar import EmulatedMaxSonarCm, EmulatedMaxSonarMm, EmulatedMaxSonarMm10m
 from msp_sim.device.mb1242 import EmulatedMB1242
 
 GROUP = "msp_sim.devices"
@@ -17,6 +18,9 @@ GROUP = "msp_sim.devices"
 EMULATED: dict[str, type[RangeFinder]] = {
     "mb1242": EmulatedMB1242,
     "lidar_lite_v3": EmulatedLidarLiteV3,
+    "maxsonar_cm": EmulatedMaxSonarCm,
+    "maxsonar_mm": EmulatedMaxSonarMm,
+    "maxsonar_mm_10m": EmulatedMaxSonarMm10m,
 }
 """Emulated range finders by the driver's name in model files."""
 

@@ -14,7 +14,7 @@ from numpy.random import Generator
 from pydantic import Field, model_validator
 
 from msp_range.yaml_file import Place, Section, SectionT
-from msp_sim.device.device import ALWAYS_HAPPEN, FAULT_KINDS
+from msp_sim.device.device import ALWAYS_HAPPEN, FAULT_KINDS, SERIAL_FAULT_KINDS
 from msp_sim.world.profiles import Positive
 
 DIGITS = 4
@@ -155,8 +155,8 @@ class RandomFaults(Section):
     @model_validator(mode="after")
     def _known(self) -> Self:
         for kind in self.kinds:
-            if kind not in FAULT_KINDS:
-                raise ValueError(f"kinds: found {kind!r}; expected some of {', '.join(FAULT_KINDS)}")
+            if kind not in (known := FAULT_KINDS | SERIAL_FAULT_KINDS):
+                raise ValueError(f"kinds: found {kind!r}; expected some of {', '.join(known)}")
         return _ordered(self, self.shortest_s, self.longest_s)
 
     def draw(self, generator: Generator, kinds: Mapping[str, Sequence[str]], flight_s: float) -> list[dict[str, Any]]:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from msp_range.assembly import polled_sensors
-from msp_range.bus import BusError
+from msp_range.bus import Address, BusError
 from msp_range.clock import VirtualClock
 from msp_range.config import load_airframe
 from msp_range.reading import Decoded, Status
@@ -32,7 +32,7 @@ ROUND = ("a", "b", "c", "d")
 class Sonar:
     """A sensor that answers as long after its ping as the test sets, with a range that is a function of the ping."""
 
-    address = 0x70
+    address: Address = 0x70
 
     def __init__(self, clock: VirtualClock) -> None:
         self._clock = clock
@@ -465,7 +465,7 @@ def test_a_group_without_sensors_is_refused(groups: list[list[PolledSensor]]) ->
 class Broken:
     """A sensor on a bus that fails: pings or answers raise ``errno``."""
 
-    address = 0x70
+    address: Address = 0x70
 
     def __init__(self, verb: str, number: int) -> None:
         self.verb = verb
@@ -492,11 +492,11 @@ class Reopened:
         self._clock = clock
         self.reopened_s: list[float] = []
 
-    def write(self, address: int, data: bytes) -> None: ...
-    def read(self, address: int, count: int) -> bytes:
+    def write(self, address: Address, data: bytes) -> None: ...
+    def read(self, address: Address, count: int) -> bytes:
         return b""
 
-    def busy_s(self, address: int) -> None: ...
+    def busy_s(self, address: Address) -> None: ...
 
     def reopen(self) -> None:
         self.reopened_s.append(self._clock.now())

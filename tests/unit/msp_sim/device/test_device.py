@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 import msp_sim.device.device
-from msp_range.bus.base import Bus, BusError
+from msp_range.bus.base import Address, Bus, BusError
 from msp_range.clock import VirtualClock
 from msp_range.sensors.mb1242 import MB1242
 from msp_range.sensors.polling import Poller, Ranging
@@ -457,7 +457,7 @@ class CountingBus(EmulatedBus):
 
     reads = 0
 
-    def read(self, address: int, count: int) -> bytes:
+    def read(self, address: Address, count: int) -> bytes:
         self.reads += 1
         return super().read(address, count)
 
@@ -474,7 +474,7 @@ def flown(reports_busy: bool, *faults: Fault) -> tuple[list[tuple[Ranging, str]]
 
     sonars = [EmulatedMB1242(0x70, now, echo, faults=faults), EmulatedMB1242(0x71, now, echo)]
     bus = CountingBus(sonars, now, reports_busy=reports_busy)
-    sensors = [PolledSensor(hex(each.address), MB1242(bus, each.address), AnswerTiming(0.021, 0.08)) for each in sonars]
+    sensors = [PolledSensor(str(each.address), MB1242(bus, each.address), AnswerTiming(0.021, 0.08)) for each in sonars]
     poller = Poller(bus, clock, RoundRobin([[each] for each in sensors], 0.1, clock.now()))
     rangings: list[tuple[Ranging, str]] = []
     while now() < 3.0:
