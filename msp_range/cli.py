@@ -14,6 +14,7 @@ from typer import Argument, Exit, Option, Typer, confirm
 from msp_range.options import AirframeFile, LinkOption, PortOption
 from msp_range.params.cli import params, sign
 from msp_range.recordings_cli import export, layout, recover, replay, tune
+from msp_range.state_folder import SERVICE_AIRFRAME
 from msp_range.user_errors import EXIT_COMMAND_LINE, Commands, VersionOption
 from msp_range.yaml_file import ConfigError
 
@@ -53,7 +54,7 @@ DriverOption = Annotated[
 
 @app.command()
 def run(
-    airframe_file: AirframeFile,
+    airframe_file: AirframeFile = SERVICE_AIRFRAME,
     log: Annotated[Literal["text", "json"], Option(help="format of log lines")] = "text",
     record: Annotated[Path | None, Option(help="folder for the recording, instead of the airframe's")] = None,
     no_record: Annotated[bool, Option("--no-record", help="record nothing")] = False,
@@ -130,7 +131,7 @@ def driver_of(text: str) -> "type[Driver]":
 
 
 @app.command()
-def check(airframe_file: AirframeFile) -> None:
+def check(airframe_file: AirframeFile = SERVICE_AIRFRAME) -> None:
     """Read an airframe file and show its sensors, directions and streams. Touches no hardware."""
     from msp_range.check import show
     from msp_range.config import load_airframe
@@ -141,9 +142,7 @@ def check(airframe_file: AirframeFile) -> None:
 
 @app.command()
 def doctor(
-    airframe_file: Annotated[Path, Argument(metavar="[AIRFRAME.yaml]", help="the vehicle: an airframe file")] = Path(
-        "/etc/msp-range/airframe.yaml"
-    ),
+    airframe_file: AirframeFile = SERVICE_AIRFRAME,
     json_lines: Annotated[bool, Option("--json", help="print one JSON object instead of text")] = False,
     bench: Annotated[
         bool,
@@ -163,7 +162,7 @@ def doctor(
 
 @app.command()
 def commission(
-    airframe_file: AirframeFile,
+    airframe_file: AirframeFile = SERVICE_AIRFRAME,
     step: Annotated[
         Literal["wires", "addresses", "bench", "parameters", "lift", "hover", "review"] | None,
         Option(help="do this step only; default: all that have not passed yet"),

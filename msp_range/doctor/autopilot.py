@@ -105,7 +105,7 @@ def check_autopilot(
     try:
         client = ParameterClient(tap, clock, airframe.link, wanted)
     except ConfigError as error:
-        yield wrong("signing", str(error), "msp-range sign AIRFRAME.yaml makes a key and gives it to the autopilot")
+        yield wrong("signing", str(error), f"msp-range sign {airframe.path} makes a key and gives it to the autopilot")
         return
     if not client.connect(CONNECT_S):
         yield silence(airframe, computer, tap, clock)
@@ -151,7 +151,7 @@ def silence(airframe: Airframe, computer: Computer, tap: Tap, clock: Clock) -> F
     setup = "SERIALn_PROTOCOL 2" if is_ardupilot else "MAV_n_CONFIG and MAV_n_MODE 2"
     systems, senders = tap.autopilots, sorted({(frame.system, frame.component) for frame in tap.frames})
     listed = ", ".join(f"{system}/{component}" for system, component in senders)
-    sign = "msp-range sign AIRFRAME.yaml gives the autopilot the key" if is_ardupilot else PX4_SIGNS_NOT
+    sign = f"msp-range sign {airframe.path} gives the autopilot the key" if is_ardupilot else PX4_SIGNS_NOT
     return first_of(
         "heartbeat",
         (
@@ -245,10 +245,10 @@ def _replies(airframe: Airframe, tap: Tap, client: ParameterClient) -> Finding:
     if link.signing_key is None and any(frame.is_signed for frame in tap.frames):
         by_usb = "the autopilot signs its messages, and answers unsigned ones on this port, as ArduPilot does by USB"
         drops = "the autopilot signs its messages and drops those of the bridge, which has no key"
-        clear = "give both the same key: msp-range sign; or clear it in the ground station"
+        clear = f"give both the same key: msp-range sign {airframe.path}; or clear it in the ground station"
         return first_of(
             "signing",
-            (answers, by_usb, "for another port give both the same key: msp-range sign", UNKNOWN),
+            (answers, by_usb, f"for another port give both the same key: msp-range sign {airframe.path}", UNKNOWN),
             (True, drops, clear),
         )
     deaf = "the autopilot is received, and answers nothing that is sent to it (TIMESYNC, parameters)"
@@ -290,7 +290,7 @@ def _parameters(airframe: Airframe, client: ParameterClient, firmware: Firmware)
         (
             others,
             f"{len(others)} of {len(needed)} differ: {'; '.join(described(other) for other in others)}",
-            "msp-range params AIRFRAME.yaml --write",
+            f"msp-range params {airframe.path} --write",
         ),
         (True, f"{len(needed)} of {firmware} are as they should be"),
     )
@@ -329,7 +329,7 @@ def _distances(airframe: Airframe, client: ParameterClient, clock: Clock, ranges
         client.wait(lambda: False, SENT_INTERVAL_S)
     back, status = client.messages.get("DISTANCE_SENSOR"), client.messages.get("SYS_STATUS")
     sent = f"{range_m:.2f} m was sent, and the autopilot"
-    remedy = "msp-range params AIRFRAME.yaml --write, then restart the autopilot: the type counts from then on"
+    remedy = f"msp-range params {airframe.path} --write, then restart the autopilot: the type counts from then on"
     if back is None:
         return wrong(step, f"{sent} reports no distance of its own", remedy)
     back_m = back.current_distance / 100

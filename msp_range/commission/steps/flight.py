@@ -76,11 +76,15 @@ def review(session: Session) -> StepOutcome:
     name = session.measured.get("hover", {}).get("recording")
     path = session.recording or (Path(name) if isinstance(name, str) else _recording(session, airframe))
     if path is None:
-        return StepOutcome([unknown("review", "there is no recording", "msp-range commission --step hover")])
+        return StepOutcome(
+            [unknown("review", "there is no recording", f"msp-range commission {airframe.path} --step hover")]
+        )
     records = Recording(path)
     part = hovering(records)
     if part is None:
-        return StepOutcome([wrong("review", f"{path} contains no hover", "msp-range commission --step hover")])
+        return StepOutcome(
+            [wrong("review", f"{path} contains no hover", f"msp-range commission {airframe.path} --step hover")]
+        )
     outcome = compare(airframe, part)
     reported = Counter(
         str(message["text"])
@@ -101,7 +105,9 @@ def compare(airframe: Airframe, part: Samples) -> StepOutcome:
     for sensor in airframe.downward:
         readings = part.readings.get(sensor.name)
         if readings is None:
-            outcome.wrong(f"flight of {sensor.name}", "no reading", "msp-range commission --step wires")
+            outcome.wrong(
+                f"flight of {sensor.name}", "no reading", f"msp-range commission {airframe.path} --step wires"
+            )
             continue
         _rates(sensor.name, readings, outcome)
     try:
@@ -136,7 +142,7 @@ def _residuals(airframe: Airframe, found: Places, outcome: StepOutcome) -> None:
         outcome.propose(f"in flight: {proposal.text}", *proposal.edits)
     for name in found.elsewhere:
         text = "its distances do not follow the ground of the others"
-        outcome.wrong(f"residuals of {name}", text, "msp-range commission --step lift")
+        outcome.wrong(f"residuals of {name}", text, f"msp-range commission {airframe.path} --step lift")
     outcome.measured["noise_in_flight_cm"] = {name: round(100 * std_m.value, 2) for name, std_m in found.std_m.items()}
     compare_noise(airframe, found.std_m, "in flight", outcome)
 
