@@ -148,15 +148,27 @@ def doctor(
         bool,
         Option("--bench", help="instead measure what the bridge costs on this computer: start, processor, delays"),
     ] = False,
+    preflight: Annotated[
+        bool,
+        Option(
+            "--preflight",
+            help="instead go or no-go within 5 s, from the running bridge if there is one; else with the heights of "
+            "return and mission; exit code 0: go",
+        ),
+    ] = False,
 ) -> None:
     """Look for what is wrong, from the bus to the autopilot, and say what to do. Changes nothing.
 
     The sensors ping, and while the vehicle is disarmed the autopilot receives their distances for some seconds. If the
     bridge runs, bus and port are left alone. Exit code 1: something is wrong.
     """
-    from msp_range.doctor.command import show
+    from msp_range.doctor.command import show, show_preflight
     from msp_range.doctor.computer import this_computer
 
+    if bench and preflight:
+        raise ConfigError("--bench and --preflight: give one of them")
+    if preflight:
+        raise Exit(show_preflight(airframe_file, this_computer(), json_lines))
     raise Exit(show(airframe_file, this_computer(), json_lines, bench))
 
 

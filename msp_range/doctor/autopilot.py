@@ -112,7 +112,7 @@ def check_autopilot(
         return
     # Others that send on the link, and the messages asked for, need a moment.
     client.wait(lambda: False, 1.5)
-    found = _type(airframe, client)
+    found = check_type(airframe, client)
     yield found
     yield from _others(airframe, tap)
     yield from (_temperature(source, client) for source in temperatures)
@@ -130,7 +130,7 @@ def check_autopilot(
     if airframe.send.nothing:
         yield _withheld(client)
     else:
-        yield _parameters(airframe, client, firmware)
+        yield check_parameters(airframe, client, firmware)
         yield _distances(airframe, client, clock, ranges_m)
     if latency_s is not None:
         yield _latency(client, latency_s)
@@ -220,7 +220,8 @@ def _systems_at(url: str, clock: Clock) -> list[int]:
     return sorted({frame.system for frame in tap.frames})
 
 
-def _type(airframe: Airframe, client: ParameterClient) -> Finding:
+def check_type(airframe: Airframe, client: ParameterClient) -> Finding:
+    """Whether the autopilot is of the kind that the airframe file names."""
     name = {"ardupilot": "ArduPilot", "px4": "PX4", None: "neither ArduPilot nor PX4"}[client.autopilot]
     text, expected = f"system {client.link.autopilot_system} is {name}", airframe.link.autopilot
     other = f"{text}, and link.autopilot is {expected}"
@@ -281,7 +282,8 @@ def _temperature(source: MavlinkSource, client: ParameterClient) -> Finding:
     )
 
 
-def _parameters(airframe: Airframe, client: ParameterClient, firmware: Firmware) -> Finding:
+def check_parameters(airframe: Airframe, client: ParameterClient, firmware: Firmware) -> Finding:
+    """Whether the autopilot's parameters are those that the airframe needs, but for those of the port."""
     without = (*PORT_NAMES, ADDRESS) if firmware.any_id else PORT_NAMES
     needed = [setting for setting in settings(airframe, firmware, 2) if not setting.name.startswith(without)]
     others = differences(client, needed)

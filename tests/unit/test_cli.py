@@ -76,6 +76,7 @@ def test_check_says_what_each_thermometer_is_worth() -> None:
         (["run", "configs/loopback.yaml", "--record", "x", "--no-record"], "--record and --no-record: give one"),
         (["params", "configs/quad_pallet.yaml", "--out", "no/range.parm"], "no/range.parm: cannot be written: No such"),
         (["params", "configs/quad_pallet.yaml", "--write", "--compare"], "--compare, --write and --restore: give one"),
+        (["doctor", "configs/quad_pallet.yaml", "--preflight", "--bench"], "--bench and --preflight: give one"),
         (["params", "configs/quad_pallet.yaml", "--restore", "no.parm"], "no.parm: no such file"),
     ],
 )
