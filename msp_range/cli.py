@@ -211,6 +211,25 @@ def commission(
 
 
 @app.command()
+def report(
+    airframe_file: AirframeFile = SERVICE_AIRFRAME,
+    out: Annotated[
+        Path | None, Option(metavar="FILE.zip", help="the archive; default: in this folder, with the date in its name")
+    ] = None,
+) -> None:
+    """Write one archive for whoever helps: files, versions, journal, doctor's findings, status, the last recording.
+
+    The list of what is in it is printed, with what is missing and why. Keys, tokens and passwords are removed.
+    """
+    from msp_range.clock import SystemClock
+    from msp_range.doctor.computer import this_computer
+    from msp_range.report import write_report
+
+    for line in write_report(airframe_file, out, this_computer(), SystemClock()):
+        print(line, flush=True)
+
+
+@app.command()
 def status(
     once: Annotated[bool, Option("--once", help="print once and exit; default where there is no terminal")] = False,
     json_lines: Annotated[bool, Option("--json", help="print one JSON object and exit")] = False,

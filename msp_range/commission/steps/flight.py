@@ -16,9 +16,8 @@ from msp_range.commission.session import Session
 from msp_range.commission.steps.places import compare_lag, compare_places
 from msp_range.config import Airframe, load_airframe_from
 from msp_range.doctor.finding import Finding, first_of, unknown, wrong
-from msp_range.recording.reader import Recording
+from msp_range.recording.reader import Recording, newest_recording
 from msp_range.recording.topics import HEALTH_TOPIC, SENT_TOPIC, Message
-from msp_range.yaml_file import ConfigError
 
 HIGH_M, STEADY_M, HOVER_S = 0.8, 0.6, 20.0
 """A hover: at least this high above the lowest distance [m], within this of its median [m], for this long [s]."""
@@ -172,10 +171,4 @@ def _recording(session: Session, airframe: Airframe) -> Path | None:
     """The recording that was named, or the newest one of the airframe's folder."""
     if session.recording is not None:
         return session.recording
-    if airframe.recording is None:
-        return None
-    try:
-        files = sorted(Path(airframe.recording.folder).glob("*.mcap"), key=lambda each: each.stat().st_mtime)
-    except OSError as error:
-        raise ConfigError(f"{airframe.recording.folder}: cannot be read: {error.strerror}") from None
-    return files[-1] if files else None
+    return None if airframe.recording is None else newest_recording(airframe.recording.folder)
