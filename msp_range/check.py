@@ -44,7 +44,7 @@ def lines(airframe: Airframe) -> Iterator[str]:
     yield from describe_air(airframe.temperature, airframe.maximum_by_sound_m)
     folder = airframe.recording.folder if airframe.recording else "none, unless --record names a folder"
     yield f"recording: {folder}"
-    yield "the autopilot's parameters for this: msp-range params"
+    yield f"the autopilot's parameters for this: msp-range params {airframe.path}"
 
 
 def _table(airframe: Airframe) -> Table:

@@ -14,6 +14,7 @@ from typer import Argument, Exit, Option, Typer, confirm
 from msp_range.options import AirframeFile, LinkOption, PortOption
 from msp_range.params.cli import params, sign
 from msp_range.recordings_cli import export, layout, recover, replay, tune
+from msp_range.state_folder import SERVICE_AIRFRAME
 from msp_range.user_errors import EXIT_COMMAND_LINE, Commands, VersionOption
 from msp_range.yaml_file import ConfigError
 
@@ -53,7 +54,7 @@ DriverOption = Annotated[
 
 @app.command()
 def run(
-    airframe_file: AirframeFile,
+    airframe_file: AirframeFile = SERVICE_AIRFRAME,
     log: Annotated[Literal["text", "json"], Option(help="format of log lines")] = "text",
     record: Annotated[Path | None, Option(help="folder for the recording, instead of the airframe's")] = None,
     no_record: Annotated[bool, Option("--no-record", help="record nothing")] = False,
@@ -135,7 +136,7 @@ def driver_of(text: str) -> "type[Driver]":
 
 
 @app.command()
-def check(airframe_file: AirframeFile) -> None:
+def check(airframe_file: AirframeFile = SERVICE_AIRFRAME) -> None:
     """Read an airframe file and show its sensors, directions and streams. Touches no hardware."""
     from msp_range.check import show
     from msp_range.config import load_airframe
@@ -146,13 +147,19 @@ def check(airframe_file: AirframeFile) -> None:
 
 @app.command()
 def doctor(
-    airframe_file: Annotated[Path, Argument(metavar="[AIRFRAME.yaml]", help="the vehicle: an airframe file")] = Path(
-        "/etc/msp-range/airframe.yaml"
-    ),
+    airframe_file: AirframeFile = SERVICE_AIRFRAME,
     json_lines: Annotated[bool, Option("--json", help="print one JSON object instead of text")] = False,
     bench: Annotated[
         bool,
         Option("--bench", help="instead measure what the bridge costs on this computer: start, processor, delays"),
+    ] = False,
+    preflight: Annotated[
+        bool,
+        Option(
+            "--preflight",
+            help="instead go or no-go within 5 s, from the running bridge if there is one; else with the heights of "
+            "return and mission; exit code 0: go",
+        ),
     ] = False,
 ) -> None:
     """Look for what is wrong, from the bus to the autopilot, and say what to do. Changes nothing.
@@ -160,15 +167,19 @@ def doctor(
     The sensors ping, and while the vehicle is disarmed the autopilot receives their distances for some seconds. If the
     bridge runs, bus and port are left alone. Exit code 1: something is wrong.
     """
-    from msp_range.doctor.command import show
+    from msp_range.doctor.command import show, show_preflight
     from msp_range.doctor.computer import this_computer
 
+    if bench and preflight:
+        raise ConfigError("--bench and --preflight: give one of them")
+    if preflight:
+        raise Exit(show_preflight(airframe_file, this_computer(), json_lines))
     raise Exit(show(airframe_file, this_computer(), json_lines, bench))
 
 
 @app.command()
 def commission(
-    airframe_file: AirframeFile,
+    airframe_file: AirframeFile = SERVICE_AIRFRAME,
     step: Annotated[
         Literal["wires", "addresses", "bench", "parameters", "lift", "hover", "review"] | None,
         Option(help="do this step only; default: all that have not passed yet"),
@@ -202,6 +213,25 @@ def commission(
     operator = PersonAtTerminal(yes, tuple(height or ()), sys.stderr if json_lines else sys.stdout)
     session = Session(airframe_file, this_computer(), clock, operator, recording=recording, port=port)
     raise Exit(do(session, step, sys.stdout, json_lines))
+
+
+@app.command()
+def report(
+    airframe_file: AirframeFile = SERVICE_AIRFRAME,
+    out: Annotated[
+        Path | None, Option(metavar="FILE.zip", help="the archive; default: in this folder, with the date in its name")
+    ] = None,
+) -> None:
+    """Write one archive for whoever helps: files, versions, journal, doctor's findings, status, the last recording.
+
+    The list of what is in it is printed, with what is missing and why. Keys, tokens and passwords are removed.
+    """
+    from msp_range.clock import SystemClock
+    from msp_range.doctor.computer import this_computer
+    from msp_range.report import write_report
+
+    for line in write_report(airframe_file, out, this_computer(), SystemClock()):
+        print(line, flush=True)
 
 
 @app.command()

@@ -196,6 +196,7 @@ class Airframe(Section):
     """where flights are recorded; default: only if the command line says so"""
 
     _files: dict[str, str] = PrivateAttr(default_factory=dict)
+    _path: str = PrivateAttr("AIRFRAME.yaml")
 
     def changed(
         self, *, link: str | None = None, bus: int | str | None = None, autopilot: Autopilot | None = None
@@ -217,6 +218,11 @@ class Airframe(Section):
     def files(self) -> dict[str, str]:
         """Text of the airframe file, as ``airframe.yaml``, and of the model files by their names in it."""
         return self._files
+
+    @property
+    def path(self) -> str:
+        """The airframe file as it was named, for commands that a user is to type."""
+        return self._path
 
     @model_validator(mode="after")
     def _consistent(self) -> "Airframe":
@@ -374,12 +380,12 @@ def load_airframe(path: Path | str) -> Airframe:
     ConfigError
         The file cannot be read or used; one line per error.
     """
-    path = config_path(path, "")
+    given, path = path, config_path(path, "")
     airframe = load(path, Airframe)
     files = {AIRFRAME_NAME: read_config(path)}
     for sensor in airframe.sensors:
         files[sensor.model] = read_config(config_path(sensor.model, "sensors", path.parent))
-    airframe._files = files
+    airframe._files, airframe._path = files, str(given)
     return airframe
 
 

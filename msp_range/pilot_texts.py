@@ -230,7 +230,7 @@ class Text:
         "signing",
         "Range: autopilot does not sign with this key",
         "Range: the autopilot's signature is right now",
-        remedy="msp-range sign AIRFRAME.yaml gives both the same key",
+        remedy="msp-range sign gives both the same key",
     )
     NO_KEY = OTHER_KEY._replace(text="Range: autopilot signs, signing_key is missing")
     # The file that keeps the time of signatures cannot be written.

@@ -1,4 +1,4 @@
-"""Where this program keeps what it needs again after a restart, apart from recordings."""
+"""What install.sh makes of the service, and where this program keeps what it needs again after a restart."""
 
 import os
 from pathlib import Path
@@ -6,6 +6,8 @@ from tempfile import gettempdir
 
 SERVICE_USER = "msp-range"
 """The user of the service, made by install.sh."""
+SERVICE_AIRFRAME = Path("/etc/msp-range/airframe.yaml")
+"""The service's airframe file, made by install.sh: that of each command which is given none."""
 
 
 def state_folder() -> Path:

@@ -31,13 +31,13 @@ def commission(session: Session, step: str | None, out: TextIO, as_json: bool) -
     as_json
         Print one JSON object at the end instead.
     """
+    airframe = session.airframe()
     if not os.access(session.path.absolute().parent, os.W_OK):
         raise ConfigError(
             f"{session.path.absolute().parent}: this user may not write there, where changes and what has passed are "
             "kept: use sudo, or a copy of the file in a folder of your own"
         )
     state = PassedSteps.of(session.path)
-    airframe = session.airframe()
     session.measured.update({name: each["measured"] for name, each in state.steps.items()})
     report: dict[str, Any] = {}
     due = [step] if step is not None else [name for name in STEPS if not state.has_passed(name, airframe)]

@@ -103,14 +103,14 @@ def check_autopilot(
     try:
         client = ParameterClient(tap, clock, airframe.link, wanted)
     except ConfigError as error:
-        yield wrong("signing", str(error), "msp-range sign AIRFRAME.yaml makes a key and gives it to the autopilot")
+        yield wrong("signing", str(error), f"msp-range sign {airframe.path} makes a key and gives it to the autopilot")
         return
     if not client.connect(CONNECT_S):
         yield silence(airframe, computer, tap, clock)
         return
     # Others that send on the link, and the messages asked for, need a moment.
     client.wait(lambda: False, 1.5)
-    found = _type(airframe, client)
+    found = check_type(airframe, client)
     yield found
     yield from _others(airframe, tap)
     yield from (_temperature(source, client) for source in temperatures)
@@ -128,7 +128,7 @@ def check_autopilot(
     if airframe.send.nothing:
         yield _withheld(client)
     else:
-        yield _parameters(airframe, client, firmware)
+        yield check_parameters(airframe, client, firmware)
         yield _distances(airframe, client, clock, ranges_m)
     if latency_s is not None:
         yield _latency(client, latency_s)
@@ -149,7 +149,7 @@ def silence(airframe: Airframe, computer: Computer, tap: Tap, clock: Clock) -> F
     setup = "SERIALn_PROTOCOL 2" if is_ardupilot else "MAV_n_CONFIG and MAV_n_MODE 2"
     systems, senders = tap.autopilots, sorted({(frame.system, frame.component) for frame in tap.frames})
     listed = ", ".join(f"{system}/{component}" for system, component in senders)
-    sign = "msp-range sign AIRFRAME.yaml gives the autopilot the key" if is_ardupilot else PX4_SIGNS_NOT
+    sign = f"msp-range sign {airframe.path} gives the autopilot the key" if is_ardupilot else PX4_SIGNS_NOT
     return first_of(
         "heartbeat",
         (
@@ -218,7 +218,8 @@ def _systems_at(url: str, clock: Clock) -> list[int]:
     return sorted({frame.system for frame in tap.frames})
 
 
-def _type(airframe: Airframe, client: ParameterClient) -> Finding:
+def check_type(airframe: Airframe, client: ParameterClient) -> Finding:
+    """Whether the autopilot is of the kind that the airframe file names."""
     name = {"ardupilot": "ArduPilot", "px4": "PX4", None: "neither ArduPilot nor PX4"}[client.autopilot]
     text, expected = f"system {client.link.autopilot_system} is {name}", airframe.link.autopilot
     other = f"{text}, and link.autopilot is {expected}"
@@ -243,10 +244,10 @@ def _replies(airframe: Airframe, tap: Tap, client: ParameterClient) -> Finding:
     if link.signing_key is None and any(frame.is_signed for frame in tap.frames):
         by_usb = "the autopilot signs its messages, and answers unsigned ones on this port, as ArduPilot does by USB"
         drops = "the autopilot signs its messages and drops those of the bridge, which has no key"
-        clear = "give both the same key: msp-range sign; or clear it in the ground station"
+        clear = f"give both the same key: msp-range sign {airframe.path}; or clear it in the ground station"
         return first_of(
             "signing",
-            (answers, by_usb, "for another port give both the same key: msp-range sign", UNKNOWN),
+            (answers, by_usb, f"for another port give both the same key: msp-range sign {airframe.path}", UNKNOWN),
             (True, drops, clear),
         )
     deaf = "the autopilot is received, and answers nothing that is sent to it (TIMESYNC, parameters)"
@@ -279,7 +280,8 @@ def _temperature(source: MavlinkSource, client: ParameterClient) -> Finding:
     )
 
 
-def _parameters(airframe: Airframe, client: ParameterClient, firmware: Firmware) -> Finding:
+def check_parameters(airframe: Airframe, client: ParameterClient, firmware: Firmware) -> Finding:
+    """Whether the autopilot's parameters are those that the airframe needs, but for those of the port."""
     without = (*PORT_NAMES, ADDRESS) if firmware.any_id else PORT_NAMES
     needed = [setting for setting in settings(airframe, firmware, 2) if not setting.name.startswith(without)]
     others = differences(client, needed)
@@ -288,7 +290,7 @@ def _parameters(airframe: Airframe, client: ParameterClient, firmware: Firmware)
         (
             others,
             f"{len(others)} of {len(needed)} differ: {'; '.join(described(other) for other in others)}",
-            "msp-range params AIRFRAME.yaml --write",
+            f"msp-range params {airframe.path} --write",
         ),
         (True, f"{len(needed)} of {firmware} are as they should be"),
     )
@@ -327,7 +329,7 @@ def _distances(airframe: Airframe, client: ParameterClient, clock: Clock, ranges
         client.wait(lambda: False, SENT_INTERVAL_S)
     back, status = client.messages.get("DISTANCE_SENSOR"), client.messages.get("SYS_STATUS")
     sent = f"{range_m:.2f} m was sent, and the autopilot"
-    remedy = "msp-range params AIRFRAME.yaml --write, then restart the autopilot: the type counts from then on"
+    remedy = f"msp-range params {airframe.path} --write, then restart the autopilot: the type counts from then on"
     if back is None:
         why = not_received(airframe.link.autopilot, status)
         return wrong(step, f"{sent} reports no distance of its own{'' if why is None else f': {why}'}", remedy)

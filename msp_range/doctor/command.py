@@ -9,9 +9,11 @@ from msp_range.clock import SystemClock
 from msp_range.doctor.bench import measure
 from msp_range.doctor.computer import Computer
 from msp_range.doctor.examination import examine
-from msp_range.doctor.finding import Finding, Verdict
+from msp_range.doctor.finding import RIGHT, UNKNOWN, WRONG, Finding
 from msp_range.terminal import wrapped
 
+NEEDED = ("running bridge", "I2C bus in use", "autopilot")
+"""Steps that may not be unknown for a go: nobody has seen the sensors or the autopilot then."""
 INDENT = 9
 """Columns of the verdict in front of a finding [characters]."""
 
@@ -19,7 +21,7 @@ INDENT = 9
 def lines_of(finding: Finding) -> list[str]:
     """A finding for a person, at most 80 columns wide."""
     lines = wrapped(f"{finding.verdict.value:<{INDENT}}", f"{finding.step}: {finding.text}")
-    if finding.remedy is not None and finding.verdict is not Verdict.RIGHT:
+    if finding.remedy is not None and finding.verdict is not RIGHT:
         lines += wrapped(" " * INDENT + "-> ", finding.remedy)
     return lines
 
@@ -37,3 +39,18 @@ def show(path: Path, computer: Computer, as_json: bool, bench: bool = False) -> 
     else:
         print(f"\n{counts['right']} right, {counts['wrong']} wrong, {counts['unknown']} unknown")
     return int(counts["wrong"] > 0)
+
+
+def show_preflight(path: Path, computer: Computer, as_json: bool) -> int:
+    """Print go or no-go, then each finding, the worst first; 0 for go, else 1."""
+    findings = list(examine(path, computer, SystemClock(), preflight=True))
+    against = [each for each in findings if each.verdict is WRONG or (each.verdict is UNKNOWN and each.step in NEEDED)]
+    if as_json:
+        print(json.dumps({"go": not against, "findings": [asdict(finding) for finding in findings]}, indent=2))
+        return int(bool(against))
+    print("\n".join(wrapped("NO-GO    ", ", ".join(each.step for each in against)) or ["GO"]))
+    for finding in sorted(findings, key=lambda each: (each not in against, each.verdict is RIGHT)):
+        # One screen: of what is right the first line is enough, but for the heights, which the pilot is to read.
+        shown = 1 if finding.verdict is RIGHT and finding.step != "heights" else None
+        print("\n".join(lines_of(finding)[:shown]))
+    return int(bool(against))

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
+from socket import socket
 
 from msp_range.bus.smbus import BusInUse, KernelBus
 from msp_range.clock import Clock
@@ -14,10 +15,12 @@ from msp_range.config import Airframe, load_airframe
 from msp_range.doctor.autopilot import check_autopilot
 from msp_range.doctor.computer import Computer
 from msp_range.doctor.finding import UNKNOWN, Finding, first_of, right, unknown, while_right, wrong
+from msp_range.doctor.heights import check_before_flight, maximum_of
 from msp_range.doctor.port import check_clock, check_interface, check_port
-from msp_range.doctor.sensors import SensorExamination, examine_sensors
+from msp_range.doctor.sensors import SensorExamination, examine_sensors, glance_at_sensors
 from msp_range.doctor.storage import check_date, check_disk, check_supply
 from msp_range.doctor.thermometer import check_files
+from msp_range.health import BridgeState
 from msp_range.mavlink.transport import Transport, open_transport
 from msp_range.mavlink.transport.url import SerialUrl, parse_url
 from msp_range.pilot_texts import Text
@@ -30,9 +33,13 @@ from msp_range.yaml_file import ConfigError
 STOP = "sudo systemctl stop msp-range, then again, looks at bus and port themselves"
 
 
-def check_running() -> Iterator[Finding]:
+PREFLIGHT_S = 4.0
+"""Time for a preflight [s]: with the start of the program the answer is there within 5 s. Less leaves out waypoints of
+long missions, and the autopilot's parameters where the link is slow."""
+
+
+def check_running(connection: socket | None) -> Iterator[Finding]:
     """What the running bridge says of its sensors, its link and its recording."""
-    connection = connect(sockets())
     if connection is None:
         yield unknown("running bridge", "it cannot be asked: no socket of it was found", STOP)
         return
@@ -47,7 +54,9 @@ def check_running() -> Iterator[Finding]:
 def findings(newest: Newest) -> Iterator[Finding]:
     """Findings from the newest state of a running bridge."""
     status = newest.status
-    yield right("running bridge", f"{newest.airframe['vehicle']}, {status['state']}, for {status['uptime_s']:.0f} s")
+    text = f"{newest.airframe['vehicle']}, {status['state']}, for {status['uptime_s']:.0f} s"
+    starts = newest.state == BridgeState.STARTING
+    yield first_of("running bridge", (starts, text, "again in some seconds", UNKNOWN), (True, text))
     for fault in status["faults"]:
         # That the file names no thermometer is a step of its own.
         if fault["what"] != Text.NO_THERMOMETER.key:
@@ -77,6 +86,7 @@ def examine(
     clock: Clock,
     make_bus: Callable[[int | str], KernelBus] = KernelBus,
     make_transport: Callable[[str, Clock], Transport] = open_transport,
+    preflight: bool = False,
 ) -> Iterator[Finding]:
     """All steps, each as soon as it is done.
 
@@ -90,7 +100,10 @@ def examine(
         Times of pings and messages.
     make_bus, make_transport
         Open what the airframe file names.
+    preflight
+        Only what is done in `PREFLIGHT_S`, and the autopilot's heights; a bridge that runs is asked at once.
     """
+    end_s = clock.now() + PREFLIGHT_S if preflight else None
     try:
         airframe = load_airframe(path)
     except ConfigError as error:
@@ -102,7 +115,29 @@ def examine(
     yield right("airframe file", f"{path}: {airframe.vehicle}")
     for doubt in doubts(airframe):
         yield unknown("airframe file", doubt, "correct it if that is so")
-    examined, in_use = SensorExamination([], {}, None), False
+    connection = connect(sockets()) if preflight else None
+    if connection is not None:
+        yield from check_running(connection)
+        remedy = f"above {maximum_of(airframe):g} m distances read 'above the maximum': compare in the ground station"
+        yield unknown("heights", "those of return and mission were not read, as the bridge has the link", remedy)
+    else:
+        yield from _bus_and_link(airframe, computer, clock, make_bus, make_transport, end_s)
+    yield from check_files(computer, airframe.temperature)
+    yield check_disk(computer, airframe.recording.folder if airframe.recording else None)
+    yield check_date(computer, path)
+    yield from check_supply(computer)
+
+
+def _bus_and_link(
+    airframe: Airframe,
+    computer: Computer,
+    clock: Clock,
+    make_bus: Callable[[int | str], KernelBus],
+    make_transport: Callable[[str, Clock], Transport],
+    end_s: float | None,
+) -> Iterator[Finding]:
+    """The sensors and the autopilot; those of a preflight if it has to be done at ``end_s``."""
+    examined = SensorExamination([], {}, None)
     bus_path = str(KernelBus(airframe.bus).path)
     is_ready = False
     for sensor in airframe.sensors:
@@ -118,31 +153,18 @@ def examine(
             if airframe.on_i2c:
                 bus.claim()
         except BusInUse as error:
-            in_use = True
             remedy = "sudo systemctl stop msp-range, then again"
             yield unknown("I2C bus in use", f"{error}. Bus and port are left alone", remedy)
-            yield from check_running()
-        else:
-            examined = examine_sensors(airframe, bus, clock)
-            yield from examined.findings
-            bus.close()
-    yield from check_files(computer, airframe.temperature)
-    if not in_use:
-        yield from _link(airframe, computer, clock, examined, make_transport)
-    yield check_disk(computer, airframe.recording.folder if airframe.recording else None)
-    yield check_date(computer, path)
-    yield from check_supply(computer)
-
-
-def _link(
-    airframe: Airframe,
-    computer: Computer,
-    clock: Clock,
-    examined: SensorExamination,
-    make_transport: Callable[[str, Clock], Transport],
-) -> Iterator[Finding]:
+            yield from check_running(connect(sockets()))
+            return
+        examined = (examine_sensors if end_s is None else glance_at_sensors)(airframe, bus, clock)
+        yield from examined.findings
+        bus.close()
     url = parse_url(airframe.link.url)
     if isinstance(url, SerialUrl) and not (yield from while_right(check_port(computer, url))):
         return
     with closing(make_transport(airframe.link.url, clock)) as transport:
-        yield from check_autopilot(airframe, computer, transport, clock, examined.ranges_m, examined.latency_s)
+        if end_s is not None:
+            yield from check_before_flight(airframe, transport, clock, end_s)
+        else:
+            yield from check_autopilot(airframe, computer, transport, clock, examined.ranges_m, examined.latency_s)

@@ -6,11 +6,12 @@ from typing import Annotated, Literal
 from typer import Exit, Option, confirm, prompt
 
 from msp_range.options import AirframeFile, LinkOption, PortOption
+from msp_range.state_folder import SERVICE_AIRFRAME
 from msp_range.yaml_file import ConfigError, write_file
 
 
 def params(
-    airframe_file: AirframeFile,
+    airframe_file: AirframeFile = SERVICE_AIRFRAME,
     out: Annotated[Path | None, Option(help="file to write (.parm) instead of printing")] = None,
     vehicle: Annotated[
         Literal["copter", "plane", "sub", "rover"], Option(help="ArduPilot's vehicle, where none is connected")
@@ -64,7 +65,7 @@ def _save(path: Path, text: str) -> None:
 
 
 def sign(
-    airframe_file: AirframeFile,
+    airframe_file: AirframeFile = SERVICE_AIRFRAME,
     passphrase: Annotated[
         bool,
         Option("--passphrase", help="make the key from a passphrase, as ground stations do; default: at random"),

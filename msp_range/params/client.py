@@ -64,6 +64,8 @@ class ParameterClient:
         The connection.
     messages
         The last message of each kind that the autopilot sent.
+    end_s
+        When to wait for nothing any more, whatever is missing [s].
 
     Raises
     ------
@@ -84,6 +86,7 @@ class ParameterClient:
         self.messages: dict[str, Any] = {}
         self._heartbeat: Any = None
         self._heartbeat_s = float("-inf")
+        self.end_s = float("inf")
         self.link = Link(
             transport,
             clock,
@@ -111,7 +114,7 @@ class ParameterClient:
 
     def wait(self, is_there: Callable[[], bool], limit_s: float) -> bool:
         """Serve the link until ``is_there()``, at most ``limit_s``; returns whether it came."""
-        end_s = self._clock.now() + limit_s
+        end_s = min(self._clock.now() + limit_s, self.end_s)
         while not is_there():
             if self._clock.now() >= end_s:
                 return False
@@ -134,6 +137,11 @@ class ParameterClient:
             return None
         return bool(self._heartbeat.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
 
+    @property
+    def vehicle(self) -> Vehicle:
+        """ArduPilot's kind of vehicle, by the heartbeat."""
+        return "copter" if self._heartbeat is None else _VEHICLES.get(self._heartbeat.type, "copter")
+
     def firmware(self) -> Firmware | None:
         """The firmware, which decides names and units of parameters; None if the autopilot is neither ArduPilot nor
         PX4.
@@ -144,12 +152,11 @@ class ParameterClient:
         """
         if self.autopilot != "ardupilot":
             return None if self.autopilot is None else Firmware(self.autopilot)
-        vehicle = _VEHICLES.get(self._heartbeat.type, "copter")
-        centimetres = "RNGFND1_MAX_CM" in self._read("RNGFND1_MAX", "RNGFND1_MAX_CM")
-        self._ask(
+        centimetres = "RNGFND1_MAX_CM" in self.read_any(("RNGFND1_MAX", "RNGFND1_MAX_CM"))
+        self.ask(
             [
                 dialect.MAVLink_command_long_message(
-                    *self._target,
+                    *self.target,
                     dialect.MAV_CMD_REQUEST_MESSAGE,
                     0,
                     dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
@@ -160,24 +167,25 @@ class ParameterClient:
         )
         version = self.messages.get("AUTOPILOT_VERSION")
         return Firmware(
-            "ardupilot", vehicle, centimetres, version is not None and version.flight_sw_version < ADDRESS_IS_ID
+            "ardupilot", self.vehicle, centimetres, version is not None and version.flight_sw_version < ADDRESS_IS_ID
         )
 
     def read(self, name: str) -> float | None:
         """A parameter's value; None where the autopilot does not know it, or does not answer."""
-        return self._read(name).get(name)
+        return self.read_any((name,)).get(name)
 
-    def _read(self, *names: str) -> dict[str, float]:
-        """Values by name, as soon as one of the names was answered."""
+    def read_any(self, *groups: Sequence[str]) -> dict[str, float]:
+        """Values by name, as soon as one name of each group was answered: firmwares name a parameter differently."""
+        names = [name for group in groups for name in group]
         for name in names:
             self._values.pop(name, None)
-        self._ask(
-            [dialect.MAVLink_param_request_read_message(*self._target, name.encode(), -1) for name in names],
-            lambda: any(name in self._values for name in names),
+        self.ask(
+            [dialect.MAVLink_param_request_read_message(*self.target, name.encode(), -1) for name in names],
+            lambda: all(any(name in self._values for name in group) for group in groups),
         )
         return {name: self._values[name][0] for name in names if name in self._values}
 
-    def _ask(self, messages: Sequence[Any], is_answered: Callable[[], bool]) -> None:
+    def ask(self, messages: Sequence[Any], is_answered: Callable[[], bool]) -> None:
         """Send messages until they are answered, at most a few times."""
         for _ in range(TRIES):
             for message in messages:
@@ -203,7 +211,7 @@ class ParameterClient:
             if self.armed:
                 raise ConfigError("the vehicle is armed: parameters are set only while it is disarmed")
             encoded = _as_type("<i", "<f", round(value)) if self._is_whole(kind) else value
-            self.link.send(dialect.MAVLink_param_set_message(*self._target, name.encode(), encoded, kind))
+            self.link.send(dialect.MAVLink_param_set_message(*self.target, name.encode(), encoded, kind))
             self.wait(lambda: False, 0.1)
             found = self.read(name)
             if found is not None and same(found, value):
@@ -211,7 +219,8 @@ class ParameterClient:
         raise ConfigError(f"{name} was set to {value:g}, and reads back as {found}")
 
     @property
-    def _target(self) -> tuple[int, int]:
+    def target(self) -> tuple[int, int]:
+        """System and component that messages to the autopilot are for."""
         return self.link.autopilot_system or 1, dialect.MAV_COMP_ID_AUTOPILOT1
 
     def _is_whole(self, kind: int) -> bool:

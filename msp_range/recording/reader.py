@@ -30,6 +30,20 @@ MOST_ATTACHED_BYTES = 4 * 2**20
 _KEPT = frozenset({Opcode.HEADER, Opcode.METADATA, Opcode.ATTACHMENT, Opcode.FOOTER})
 
 
+def newest_recording(folder: str) -> Path | None:
+    """The recording of a folder that was written last; None where there is none.
+
+    Raises
+    ------
+    RecordingError
+        The folder cannot be read.
+    """
+    try:
+        return max(Path(folder).glob("*.mcap"), key=lambda each: each.stat().st_mtime, default=None)
+    except OSError as error:
+        raise RecordingError(f"{folder}: cannot be read: {error.strerror}") from None
+
+
 class Recording:
     """An MCAP file; iterate over it for its `Message` s, as often as you like.
 

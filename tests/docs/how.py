@@ -72,6 +72,7 @@ AROUND = {
     "msp-range address 0x70 0x71": "yes | UMOCKDEV_DIR=$ONE_SENSOR {}",
     "msp-range commission my_airframe.yaml": "{} || test $? = 3",
     "msp-range doctor my_airframe.yaml": DISCONTENT,
+    "msp-range doctor --preflight my_airframe.yaml": DISCONTENT,
     "msp-range doctor configs/loopback.yaml": DISCONTENT,
     "msp-range params my_airframe.yaml --compare": DISCONTENT,
     "msp-range params my_airframe.yaml --write": YES,

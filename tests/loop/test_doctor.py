@@ -253,7 +253,7 @@ def file_for_another_autopilot(setup: Setup) -> None:
     setup.parameters, setup.options = PX4, {"px4": True}
 
 
-@broken("parameters", "RNGFND1_TYPE: 0 -> 10", "params")
+@broken("parameters", "RNGFND1_TYPE: 0 -> 10", "airframe.yaml --write")
 def range_finder_not_set_up(setup: Setup) -> None:
     setup.far_end = by_udp
     setup.parameters = RANGE_FINDER | {"RNGFND1_TYPE": 0.0}

@@ -23,7 +23,7 @@ class Found(NamedTuple):
     remedy: str
 
 
-def doctor_command(computer: FakeComputer, airframe: Path, link: str) -> list[str]:
+def doctor_command(computer: FakeComputer, airframe: Path, link: str, preflight: bool = False) -> list[str]:
     """The program; ``link`` is used in place of the airframe's URL."""
     specification = {
         "root": str(computer.root),
@@ -33,6 +33,7 @@ def doctor_command(computer: FakeComputer, airframe: Path, link: str) -> list[st
         "utc_s": computer.utc_s,
         "disk": list(computer.disk(computer.root)),
         "link": link,
+        "preflight": preflight,
     }
     return [sys.executable, str(PROGRAM), json.dumps(specification)]
 

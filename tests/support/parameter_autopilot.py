@@ -8,7 +8,7 @@ import os
 import struct
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Any, Self
 
@@ -52,6 +52,8 @@ class ParameterAutopilot:
         Its system id.
     version
         What AUTOPILOT_VERSION says; None: it is not answered.
+    mission
+        Frame, command and height of each item; None: nobody answers for it.
     """
 
     def __init__(
@@ -66,10 +68,12 @@ class ParameterAutopilot:
         system: int = 1,
         baud: int = 57600,
         version: tuple[int, int] | None = (4, 7),
+        mission: Sequence[tuple[int, int, float]] | None = None,
     ) -> None:
         self.values = dict(values or {})
         self.px4 = px4
         self.version = version
+        self.mission = mission
         self.armed = armed
         self.set_names: list[str] = []
         self.received: list[Any] = []
@@ -130,6 +134,12 @@ class ParameterAutopilot:
         elif kind == "COMMAND_LONG" and message.param1 == mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION and self.version:
             number = self.version[0] << 24 | self.version[1] << 16
             self._connection.mav.autopilot_version_send(0, number, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
+        elif kind == "MISSION_REQUEST_LIST" and self.mission is not None:
+            self._connection.mav.mission_count_send(message.get_srcSystem(), 192, len(self.mission))
+        elif kind == "MISSION_REQUEST_INT" and self.mission is not None:
+            frame, command, height_m = self.mission[message.seq]
+            where = message.get_srcSystem(), 192, message.seq, frame, command, 0, 1
+            self._connection.mav.mission_item_int_send(*where, 0, 0, 0, 0, 473977000, 85456000, height_m)
         elif kind == "SETUP_SIGNING" and not self.px4:  # PX4 1.17 has no signing
             self._connection.setup_signing(bytes(message.secret_key), sign_outgoing=True)
         elif kind == "TIMESYNC" and message.tc1 == 0:

@@ -16,6 +16,7 @@ from msp_range import __version__
 from msp_range.clock import SystemClock
 from msp_range.config import Airframe, load_airframe
 from msp_range.extras import EXTRAS
+from msp_range.state_folder import SERVICE_AIRFRAME
 from msp_range.user_errors import report_user_errors
 from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.mb1242 import EmulatedMB1242
@@ -75,6 +76,7 @@ def test_check_says_what_each_thermometer_is_worth() -> None:
         (["run", "configs/loopback.yaml", "--record", "x", "--no-record"], "--record and --no-record: give one"),
         (["params", "configs/quad_pallet.yaml", "--out", "no/range.parm"], "no/range.parm: cannot be written: No such"),
         (["params", "configs/quad_pallet.yaml", "--write", "--compare"], "--compare, --write and --restore: give one"),
+        (["doctor", "configs/quad_pallet.yaml", "--preflight", "--bench"], "--bench and --preflight: give one"),
         (["params", "configs/quad_pallet.yaml", "--restore", "no.parm"], "no.parm: no such file"),
     ],
 )
@@ -94,9 +96,16 @@ def test_doctor_without_an_airframe_file_says_that_one_has_to_be_named(tmp_path:
     assert "-> name your airframe file: msp-range doctor AIRFRAME.yaml" in result.output
 
 
+@pytest.mark.skipif(SERVICE_AIRFRAME.exists(), reason="this computer has the service's airframe file")
+@pytest.mark.parametrize("command", ["run", "check", "params", "sign", "commission", "doctor"])
+def test_without_an_airframe_file_the_services_is_meant(command: str) -> None:
+    result = run("msp-range", command, code=1 if command == "doctor" else 3)
+    expected = f"{SERVICE_AIRFRAME}: no such file; name the airframe file of your vehicle"
+    assert expected in " ".join(result.output.split())
+
+
 def test_a_wrong_command_line_is_exit_code_2() -> None:
     run("msp-range params", CONFIGS / "quad_pallet.yaml", "--port", "10", code=2)
-    run("msp-range run", code=2)
     run("msp-range rnu x.yaml", code=2)
 
 

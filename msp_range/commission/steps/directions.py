@@ -155,7 +155,9 @@ def compare_directions(
     without_floor, shares = [], {}
     for i, sensor in enumerate(airframe.sensors):
         if sensor.name not in lifted.readings:
-            outcome.wrong(f"direction of {sensor.name}", "no reading", "msp-range commission --step wires")
+            outcome.wrong(
+                f"direction of {sensor.name}", "no reading", f"msp-range commission {airframe.path} --step wires"
+            )
             continue
         if sensor.sensor_model.medium != "sound":
             outcome.unknown(f"direction of {sensor.name}", "a ray has no cone: not measured")

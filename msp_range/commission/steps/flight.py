@@ -16,9 +16,8 @@ from msp_range.commission.session import Session
 from msp_range.commission.steps.places import compare_lag, compare_places
 from msp_range.config import Airframe, load_airframe_from
 from msp_range.doctor.finding import Finding, first_of, unknown, wrong
-from msp_range.recording.reader import Recording
+from msp_range.recording.reader import Recording, newest_recording
 from msp_range.recording.topics import HEALTH_TOPIC, SENT_TOPIC, Message
-from msp_range.yaml_file import ConfigError
 
 HIGH_M, STEADY_M, HOVER_S = 0.8, 0.6, 20.0
 """A hover: at least this high above the lowest distance [m], within this of its median [m], for this long [s]."""
@@ -76,11 +75,15 @@ def review(session: Session) -> StepOutcome:
     name = session.measured.get("hover", {}).get("recording")
     path = session.recording or (Path(name) if isinstance(name, str) else _recording(session, airframe))
     if path is None:
-        return StepOutcome([unknown("review", "there is no recording", "msp-range commission --step hover")])
+        return StepOutcome(
+            [unknown("review", "there is no recording", f"msp-range commission {airframe.path} --step hover")]
+        )
     records = Recording(path)
     part = hovering(records)
     if part is None:
-        return StepOutcome([wrong("review", f"{path} contains no hover", "msp-range commission --step hover")])
+        return StepOutcome(
+            [wrong("review", f"{path} contains no hover", f"msp-range commission {airframe.path} --step hover")]
+        )
     outcome = compare(airframe, part)
     reported = Counter(
         str(message["text"])
@@ -101,7 +104,9 @@ def compare(airframe: Airframe, part: Samples) -> StepOutcome:
     for sensor in airframe.downward:
         readings = part.readings.get(sensor.name)
         if readings is None:
-            outcome.wrong(f"flight of {sensor.name}", "no reading", "msp-range commission --step wires")
+            outcome.wrong(
+                f"flight of {sensor.name}", "no reading", f"msp-range commission {airframe.path} --step wires"
+            )
             continue
         _rates(sensor.name, readings, outcome)
     try:
@@ -136,7 +141,7 @@ def _residuals(airframe: Airframe, found: Places, outcome: StepOutcome) -> None:
         outcome.propose(f"in flight: {proposal.text}", *proposal.edits)
     for name in found.elsewhere:
         text = "its distances do not follow the ground of the others"
-        outcome.wrong(f"residuals of {name}", text, "msp-range commission --step lift")
+        outcome.wrong(f"residuals of {name}", text, f"msp-range commission {airframe.path} --step lift")
     outcome.measured["noise_in_flight_cm"] = {name: round(100 * std_m.value, 2) for name, std_m in found.std_m.items()}
     compare_noise(airframe, found.std_m, "in flight", outcome)
 
@@ -166,10 +171,4 @@ def _recording(session: Session, airframe: Airframe) -> Path | None:
     """The recording that was named, or the newest one of the airframe's folder."""
     if session.recording is not None:
         return session.recording
-    if airframe.recording is None:
-        return None
-    try:
-        files = sorted(Path(airframe.recording.folder).glob("*.mcap"), key=lambda each: each.stat().st_mtime)
-    except OSError as error:
-        raise ConfigError(f"{airframe.recording.folder}: cannot be read: {error.strerror}") from None
-    return files[-1] if files else None
+    return None if airframe.recording is None else newest_recording(airframe.recording.folder)

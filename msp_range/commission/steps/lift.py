@@ -217,7 +217,9 @@ def _came_back(airframe: Airframe, recorded: Recorded, outcome: StepOutcome) -> 
         return
     if len(recorded.returned_m) < 3:
         text = "the autopilot reports no distance of its own"
-        outcome.unknown(step, text, "msp-range commission --step parameters, then restart the autopilot")
+        outcome.unknown(
+            step, text, f"msp-range commission {airframe.path} --step parameters, then restart the autopilot"
+        )
         return
     time_s, back_m = np.array(recorded.returned_m).T
     sent_m = np.interp(time_s - 0.2, fused[:, 0], fused[:, 1])

@@ -74,7 +74,11 @@ def _exchanged(airframe: Airframe, found: Places, outcome: StepOutcome) -> None:
         apart = max(abs(a - b) for a, b in zip(places_m[one], places_m[other], strict=True))
         if apart > 2 * SIDEWAYS_M and sits_at(one, other) and sits_at(other, one):
             text = f"{one} and {other} sit at each other's place"
-            outcome.unknown("places", text, "if their addresses are exchanged: msp-range commission --step addresses")
+            outcome.unknown(
+                "places",
+                text,
+                f"if their addresses are exchanged: msp-range commission {airframe.path} --step addresses",
+            )
 
 
 def compare_lag(found: Places, outcome: StepOutcome) -> None:

@@ -51,8 +51,10 @@ def test_the_drawing_shows_who_is_where(tmp_path: Path) -> None:
 
 
 def test_what_is_shown(tmp_path: Path) -> None:
-    text = "\n".join(lines(airframe("forward_and_down", tmp_path, ("link:", "recording: {folder: /data}\nlink:"))))
+    vehicle = airframe("forward_and_down", tmp_path, ("link:", "recording: {folder: /data}\nlink:"))
+    text = "\n".join(lines(vehicle))
     for words in (
+        f"msp-range params {tmp_path}/",
         "/dev/serial0 at 921600 baud, as component 191",
         "forward with down_left, then down_right, then down_rear; 0.1 s apart",
         "filters of the single streams: changepoint",
