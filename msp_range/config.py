@@ -384,7 +384,7 @@ def _load_named(named: Any, info: ValidationInfo) -> Airframe:
     return load_named(info, named, "", load_airframe)
 
 
-NamedAirframe = Annotated[Airframe, BeforeValidator(_load_named)]
+NamedAirframe = Annotated[Airframe, BeforeValidator(_load_named, json_schema_input_type=str)]
 """An airframe named in another file: a path there, the airframe after reading; or one that was read already."""
 
 

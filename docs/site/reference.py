@@ -24,7 +24,7 @@ from msp_sim.flight.scenario import Scenario
 FILES: dict[str, tuple[str, type[Section], str]] = {
     "airframe": ("Airframe file", Airframe, "The vehicle: sensors, link, streams. `msp-range schema airframe`."),
     "sensor": ("Sensor model file", SensorModel, "A sensor and how it reads. `msp-range schema sensor`."),
-    "scenario": ("Scenario file", Scenario, "A simulated flight, for `msp-sim fly`."),
+    "scenario": ("Scenario file", Scenario, "A simulated flight, for `msp-sim fly`. `msp-range schema scenario`."),
     "campaign": ("Campaign file", Campaign, "A campaign at the bench, for `msp-lab collect`."),
     "flights": ("Flight campaign file", FlightCampaign, "A campaign of flights, for `msp-lab collect`."),
     "map": ("Column map", ColumnMap, "Where the columns of somebody else's table are, for `--map`."),
