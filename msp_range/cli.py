@@ -13,9 +13,10 @@ from typer import Argument, Exit, Option, Typer, confirm
 
 from msp_range.options import AirframeFile, LinkOption, PortOption
 from msp_range.params.cli import params, sign
+from msp_range.plugins import installed, load_entry
 from msp_range.recordings_cli import export, layout, recover, replay, tune
 from msp_range.user_errors import EXIT_COMMAND_LINE, Commands, VersionOption
-from msp_range.yaml_file import ConfigError
+from msp_range.yaml_file import ConfigError, Section
 
 if TYPE_CHECKING:
     from msp_range.sensors.base import Driver
@@ -222,7 +223,11 @@ app.command()(sign)
 @app.command()
 def schema(
     kind: Annotated[
-        str, Argument(help="which kind of file: airframe, sensor, scenario, campaign or flights")
+        str,
+        Argument(
+            help="which kind of file: airframe, sensor, scenario, campaign or flights",
+            autocompletion=lambda: sorted(installed(FILE_KINDS)),
+        ),
     ] = "airframe",
 ) -> None:
     """Print the JSON Schema of a kind of file, for completion and checks in editors.
@@ -231,9 +236,6 @@ def schema(
 
     Save it next to the files and name it in their first line: # yaml-language-server: $schema=airframe.schema.json
     """
-    from msp_range.plugins import installed, load_entry
-    from msp_range.yaml_file import Section
-
     kinds = installed(FILE_KINDS)
     if kind not in kinds:
         print(f"schema {kind}: expected one of {', '.join(sorted(kinds))}", file=sys.stderr)
