@@ -362,10 +362,20 @@ def check_link(url: str) -> None:
 def load_airframe(path: Path | str) -> Airframe:
     """Read an airframe file and the sensor model files that it names.
 
+    Parameters
+    ----------
+    path
+        The file, or the name of one that comes with the package.
+
     Raises
     ------
     ConfigError
         The file cannot be read or used; one line per error.
+
+    Examples
+    --------
+    >>> [sensor.name for sensor in load_airframe("quad_pallet").sensors]
+    ['front_left', 'front_right', 'rear_left', 'rear_right']
     """
     path = config_path(path, "")
     airframe = load(path, Airframe)
