@@ -20,6 +20,9 @@ from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.columns import BASE_COLUMNS, BRIDGE_COLUMNS, CONTEXT_COLUMNS
 from msp_range.recording.topics import RANGE_PREFIX, TOPICS, TRUTH_PREFIX, schema_of
 from msp_range.yaml_file import Section
+from msp_sim.acoustics.atmosphere import Atmosphere
+from msp_sim.acoustics.echo import Target
+from msp_sim.acoustics.materials import MATERIALS
 from msp_sim.cli import app as simulator
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.listing import as_data
@@ -41,6 +44,7 @@ def pages() -> dict[str, str]:
     commands = {f"cli-{app.info.name}": _commands(app) for app in (bridge, simulator, laboratory)}
     files = {f"file-{name}": _file(*each) for name, each in FILES.items()}
     tables = {"form-csv": _csv(), "form-mcap": _mcap(), "effects": _effects()}
+    tables["surfaces"] = _surfaces()
     tables["python"] = _python(msp_range, msp_sim, msp_lab)
     return {name: "\n\n".join(parts) + "\n" for name, parts in {**commands, **files, **tables}.items()}
 
@@ -205,6 +209,31 @@ def _effects() -> list[str]:
 
 def _number(value: float | None) -> str:
     return "" if value is None else f"{value:g}"
+
+
+# Surfaces
+
+
+def _surfaces() -> list[str]:
+    rows = [
+        (
+            f"`{name}`",
+            f"{each.impedance_rayl:.3g}",
+            f"{Target(each.impedance_rayl).reflection_db(Atmosphere()):.2g}",
+            _text(f"{each.source}. Uncertainty: {each.doubt}"),
+            f"{each.rms_m:g}",
+            f"{each.length_m:g}" if each.rms_m else "",
+            _text(each.roughness_source),
+        )
+        for name, each in MATERIALS.items()
+    ]
+    head = ("surface", "impedance [rayl]", "echo [dB]", "source", "rms [m]", "length [m]", "source of the roughness")
+    return [
+        "# Surfaces",
+        "What is known of surfaces by name. Echo: its level relative to that of a perfect mirror, in air of 20 C. "
+        "[How scenarios name them](../simulating.md#surfaces).",
+        _table(head, rows),
+    ]
 
 
 # Python
