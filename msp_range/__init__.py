@@ -1,6 +1,6 @@
 """MAVLink companion-computer bridge for ultrasonic range finders: what flies.
 
-For programs and notebooks: `load_airframe` and `ReadingModel`, imported when they are first used.
+For programs and notebooks: `load_airframe`, `ReadingModel` and `UserError`, imported when they are first used.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -9,18 +9,20 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from msp_range.config import load_airframe
+    from msp_range.errors import UserError
     from msp_range.reading_model.mixture import ReadingModel
 
-__all__ = ["ReadingModel", "load_airframe"]
+__all__ = ["ReadingModel", "UserError", "load_airframe"]
+_MODULES = {"ReadingModel": "reading_model.mixture", "UserError": "errors", "load_airframe": "config"}
 
 
 def __getattr__(name: str) -> Any:
-    if name == "load_airframe":
-        from msp_range.config import load_airframe
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
 
-        return load_airframe
-    if name == "ReadingModel":
-        from msp_range.reading_model.mixture import ReadingModel
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
 
-        return ReadingModel
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+def __dir__() -> list[str]:
+    return __all__

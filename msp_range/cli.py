@@ -13,10 +13,11 @@ from typer import Argument, Exit, Option, Typer, confirm
 
 from msp_range.options import AirframeFile, LinkOption, PortOption
 from msp_range.params.cli import params, sign
+from msp_range.plugins import installed, load_entry
 from msp_range.recordings_cli import export, layout, recover, replay, tune
 from msp_range.state_folder import SERVICE_AIRFRAME
 from msp_range.user_errors import EXIT_COMMAND_LINE, Commands, VersionOption
-from msp_range.yaml_file import ConfigError
+from msp_range.yaml_file import ConfigError, Section
 
 if TYPE_CHECKING:
     from msp_range.sensors.base import Driver
@@ -32,8 +33,8 @@ app = Typer(
 )
 
 FILE_KINDS = "msp_range.file_kinds"
-"""Group of entry points: section class by kind of file, including those of the laboratory, which is not imported
-here."""
+"""Group of entry points: section class by kind of file, including those of simulator and laboratory, which are not
+imported here."""
 
 
 @app.callback()
@@ -256,21 +257,25 @@ app.command()(sign)
 
 @app.command()
 def schema(
-    kind: Annotated[str, Argument(help="which kind of file: airframe, sensor, campaign or flights")] = "airframe",
+    kind: Annotated[
+        str,
+        Argument(
+            help="which kind of file: airframe, sensor, scenario, campaign or flights",
+            autocompletion=lambda: sorted(installed(FILE_KINDS)),
+        ),
+    ] = "airframe",
 ) -> None:
     """Print the JSON Schema of a kind of file, for completion and checks in editors.
 
-    Kinds: airframe, sensor model, campaign at the bench, campaign of flights.
+    Kinds: airframe, sensor model, scenario of a simulated flight, campaign at the bench, campaign of flights.
 
     Save it next to the files and name it in their first line: # yaml-language-server: $schema=airframe.schema.json
     """
-    from importlib.metadata import entry_points
-
-    kinds = entry_points(group=FILE_KINDS)
-    if kind not in kinds.names:
-        print(f"schema {kind}: expected one of {', '.join(sorted(kinds.names))}", file=sys.stderr)
+    kinds = installed(FILE_KINDS)
+    if kind not in kinds:
+        print(f"schema {kind}: expected one of {', '.join(sorted(kinds))}", file=sys.stderr)
         raise Exit(EXIT_COMMAND_LINE)
-    print(json.dumps(kinds[kind].load().model_json_schema(), indent=2))
+    print(json.dumps(load_entry(kinds[kind], "kind of file", Section).model_json_schema(), indent=2))
 
 
 @app.command()

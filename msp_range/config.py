@@ -375,10 +375,20 @@ def check_link(url: str) -> None:
 def load_airframe(path: Path | str) -> Airframe:
     """Read an airframe file and the sensor model files that it names.
 
+    Parameters
+    ----------
+    path
+        The file, or the name of one that comes with the package.
+
     Raises
     ------
     ConfigError
         The file cannot be read or used; one line per error.
+
+    Examples
+    --------
+    >>> [sensor.name for sensor in load_airframe("quad_pallet").sensors]
+    ['front_left', 'front_right', 'rear_left', 'rear_right']
     """
     given, path = path, config_path(path, "")
     airframe = load(path, Airframe)
@@ -397,7 +407,7 @@ def _load_named(named: Any, info: ValidationInfo) -> Airframe:
     return load_named(info, named, "", load_airframe)
 
 
-NamedAirframe = Annotated[Airframe, BeforeValidator(_load_named)]
+NamedAirframe = Annotated[Airframe, BeforeValidator(_load_named, json_schema_input_type=str)]
 """An airframe named in another file: a path there, the airframe after reading; or one that was read already."""
 
 

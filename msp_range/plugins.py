@@ -43,7 +43,8 @@ def load_entry(entry: "EntryPoint", what: str, expected: type) -> Any:
     try:
         found = entry.load()
     except Exception as error:  # Any exception while importing another package is an error in that package.
-        raise ConfigError(f"the {what} {entry.name!r} ({entry.value}) cannot be loaded: {error}") from error
+        remedy = "; install the package that contains it" if isinstance(error, ModuleNotFoundError) else ""
+        raise ConfigError(f"the {what} {entry.name!r} ({entry.value}) cannot be loaded: {error}{remedy}") from error
     if isinstance(found, expected) or (isinstance(found, type) and issubclass(found, expected)):
         return found
     raise ConfigError(

@@ -11,7 +11,9 @@ from msp_range import __version__
 
 project = "msp-range"
 version = release = __version__
-extensions = ["myst_parser"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+# A function stands under its package's title, from which it is imported, and not by the file that it is in.
+add_module_names = False
 root_doc = "index"
 html_theme = "furo"
 html_title = f"msp-range {__version__}"

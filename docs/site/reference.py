@@ -1,30 +1,38 @@
-"""Pages of the reference, written from the code: commands, configuration files, tables, recordings and effects."""
+"""Pages of the reference, written from the code: commands, files, tables, recordings, effects and the Python API."""
 
 import json
 from collections.abc import Iterator, Mapping
+from types import ModuleType
 from typing import Any
 
 import typer
 
+import msp_lab
+import msp_range
+import msp_sim
 from msp_lab.campaigns.campaign import Campaign
 from msp_lab.campaigns.flights import FlightCampaign
-from msp_lab.cli import app as msp_lab
+from msp_lab.cli import app as laboratory
 from msp_lab.readings.column_map import ColumnMap
-from msp_range.cli import app as msp_range
+from msp_range.cli import app as bridge
 from msp_range.config import Airframe
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.columns import BASE_COLUMNS, BRIDGE_COLUMNS, CONTEXT_COLUMNS
 from msp_range.recording.topics import RANGE_PREFIX, TOPICS, TRUTH_PREFIX, schema_of
 from msp_range.yaml_file import Section
-from msp_sim.cli import app as msp_sim
+from msp_sim.acoustics.atmosphere import Atmosphere
+from msp_sim.acoustics.echo import Target
+from msp_sim.acoustics.materials import MATERIALS
+from msp_sim.cli import app as simulator
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.listing import as_data
 from msp_sim.flight.scenario import Scenario
+from msp_sim.flight.simulate import SimulatedFlight
 
 FILES: dict[str, tuple[str, type[Section], str]] = {
     "airframe": ("Airframe file", Airframe, "The vehicle: sensors, link, streams. `msp-range schema airframe`."),
     "sensor": ("Sensor model file", SensorModel, "A sensor and how it reads. `msp-range schema sensor`."),
-    "scenario": ("Scenario file", Scenario, "A simulated flight, for `msp-sim fly`."),
+    "scenario": ("Scenario file", Scenario, "A simulated flight, for `msp-sim fly`. `msp-range schema scenario`."),
     "campaign": ("Campaign file", Campaign, "A campaign at the bench, for `msp-lab collect`."),
     "flights": ("Flight campaign file", FlightCampaign, "A campaign of flights, for `msp-lab collect`."),
     "map": ("Column map", ColumnMap, "Where the columns of somebody else's table are, for `--map`."),
@@ -33,9 +41,11 @@ FILES: dict[str, tuple[str, type[Section], str]] = {
 
 def pages() -> dict[str, str]:
     """Every page's text by its name."""
-    commands = {f"cli-{app.info.name}": _commands(app) for app in (msp_range, msp_sim, msp_lab)}
+    commands = {f"cli-{app.info.name}": _commands(app) for app in (bridge, simulator, laboratory)}
     files = {f"file-{name}": _file(*each) for name, each in FILES.items()}
     tables = {"form-csv": _csv(), "form-mcap": _mcap(), "effects": _effects()}
+    tables["surfaces"] = _surfaces()
+    tables["python"] = _python(msp_range, msp_sim, msp_lab)
     return {name: "\n\n".join(parts) + "\n" for name, parts in {**commands, **files, **tables}.items()}
 
 
@@ -199,3 +209,49 @@ def _effects() -> list[str]:
 
 def _number(value: float | None) -> str:
     return "" if value is None else f"{value:g}"
+
+
+# Surfaces
+
+
+def _surfaces() -> list[str]:
+    rows = [
+        (
+            f"`{name}`",
+            f"{each.impedance_rayl:.3g}",
+            f"{Target(each.impedance_rayl).reflection_db(Atmosphere()):.2g}",
+            _text(f"{each.source}. Uncertainty: {each.doubt}"),
+            f"{each.rms_m:g}",
+            f"{each.length_m:g}" if each.rms_m else "",
+            _text(each.roughness_source),
+        )
+        for name, each in MATERIALS.items()
+    ]
+    head = ("surface", "impedance [rayl]", "echo [dB]", "source", "rms [m]", "length [m]", "source of the roughness")
+    return [
+        "# Surfaces",
+        "What is known of surfaces by name. Echo: its level relative to that of a perfect mirror, in air of 20 C. "
+        "[How scenarios name them](../simulating.md#surfaces).",
+        _table(head, rows),
+    ]
+
+
+# Python
+
+
+def _python(*packages: ModuleType) -> list[str]:
+    parts = [
+        "# Python API",
+        "What programs and notebooks import: `dir` of a package lists it, and the first use imports it. Other modules "
+        "may change from version to version. [How it is used](../notebooks.md).",
+    ]
+    for package in packages:
+        parts += [f"## `{package.__name__}`", _text((package.__doc__ or "").split("\n")[0])]
+        parts += [_documented(getattr(package, name)) for name in package.__all__]
+    return [*parts, "## What they return", _documented(SimulatedFlight)]
+
+
+def _documented(what: Any) -> str:
+    """Sphinx writes signature and docstring here."""
+    kind, members = ("autoclass", ("   :members:",)) if isinstance(what, type) else ("autofunction", ())
+    return "\n".join(["```{eval-rst}", f".. {kind}:: {what.__module__}.{what.__qualname__}", *members, "```"])

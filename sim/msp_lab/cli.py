@@ -15,6 +15,7 @@ from msp_lab.gap.cli import ColumnMaps, Of
 from msp_lab.gap.cli import app as gap_app
 from msp_lab.logs.cli import app as import_app
 from msp_range.extras import require
+from msp_range.options import shipped
 from msp_range.user_errors import Commands
 from msp_range.yaml_file import ConfigError
 from msp_sim.cli import Jobs, OwnEffects, Scheduler, Seed, choose_figures
@@ -63,7 +64,10 @@ RepeatedPoints = Annotated[
 
 @app.command()
 def collect(
-    campaign_file: Annotated[Path, typer.Argument(metavar="CAMPAIGN.yaml", help="what is to be measured")],
+    campaign_file: Annotated[
+        Path,
+        typer.Argument(metavar="CAMPAIGN.yaml", help="what is to be measured", autocompletion=shipped("campaigns")),
+    ],
     out: Annotated[
         Path, typer.Option(help="folder for recordings and table; an interrupted campaign in it is resumed")
     ],

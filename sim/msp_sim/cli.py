@@ -7,15 +7,21 @@ from typing import Annotated, Literal
 import typer
 
 from msp_range.extras import DRAWING, require
+from msp_range.options import AirframeFile, shipped
 from msp_range.user_errors import EXIT_COMMAND_LINE, Commands, VersionOption
 from msp_range.watch.place import parse_listen
 from msp_range.yaml_file import ConfigError
 
-ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO.yaml", help="the flight: a scenario file")]
+ScenarioFile = Annotated[
+    Path,
+    typer.Argument(metavar="SCENARIO.yaml", help="the flight: a scenario file", autocompletion=shipped("scenarios")),
+]
 ForceOption = Annotated[bool, typer.Option("--force", help="replace the flight in --out")]
 SensorModelOption = Annotated[
     Path | None,
-    typer.Option(help="use this sensor model for all sensors, instead of the airframe's"),
+    typer.Option(
+        help="use this sensor model for all sensors, instead of the airframe's", autocompletion=shipped("sensors")
+    ),
 ]
 
 
@@ -161,7 +167,7 @@ def monte_carlo(
 
 @app.command()
 def sitl(
-    airframe_file: Annotated[Path, typer.Argument(metavar="AIRFRAME.yaml", help="the vehicle: an airframe file")],
+    airframe_file: AirframeFile,
     link: Annotated[
         str | None, typer.Option(help="link to the autopilot, e.g. tcp:127.0.0.1:5762; default: the airframe's")
     ] = None,
@@ -208,7 +214,9 @@ def sitl(
 
 @app.command()
 def sample(
-    model: Annotated[Path, typer.Argument(metavar="MODEL.yaml", help="sensor model file")],
+    model: Annotated[
+        Path, typer.Argument(metavar="MODEL.yaml", help="sensor model file", autocompletion=shipped("sensors"))
+    ],
     contexts: Annotated[
         Path, typer.Option(help="CSV with the contexts of the readings, one per row (true_range_cm and more)")
     ],

@@ -46,6 +46,7 @@ ON_BUS = {
     "docs/sitl.md",
     "docs/tutorials/ardupilot.md",
     "docs/tutorials/first-distance.md",
+    "docs/tutorials/first-hour.md",
     "docs/tutorials/px4.md",
     "docs/watching.md",
 }

@@ -6,6 +6,9 @@ from pathlib import Path
 
 import pytest
 
+import msp_lab
+import msp_range
+import msp_sim
 from tests.peers.test_page import browser
 from tests.support.shipped import ROOT
 
@@ -25,6 +28,9 @@ def test_the_site_is_whole_and_its_search_needs_no_network(tmp_path: Path) -> No
     page = (html / "reference/cli-msp-range.html").read_text(encoding="utf-8")
     assert "msp-range commission" in page
     assert "--no-record" in page
+    python = (html / "reference/python.html").read_text(encoding="utf-8")
+    assert all(f">{name}</span>" in python for name in [*msp_range.__all__, *msp_sim.__all__, *msp_lab.__all__])
+    assert "the extended model.yaml" in python
     with browser((html / "search.html").as_uri() + "?q=breakaway") as (shown, errors):
         shown.context.set_offline(True)
         hit = shown.locator("#search-results li a", has_text="Sensor model file").first

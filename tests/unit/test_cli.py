@@ -11,18 +11,20 @@ from pathlib import Path
 
 import pytest
 import typer
+from jsonschema import Draft202012Validator
 
 from msp_range import __version__
+from msp_range.cli import FILE_KINDS
 from msp_range.clock import SystemClock
 from msp_range.config import Airframe, load_airframe
 from msp_range.extras import EXTRAS
 from msp_range.state_folder import SERVICE_AIRFRAME
 from msp_range.user_errors import report_user_errors
+from msp_range.yaml_loader import load_yaml
 from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.mb1242 import EmulatedMB1242
-from msp_sim.flight.scenario import Scenario
 from tests.support.programs import PROGRAMS, commands_of, run
-from tests.support.shipped import CONFIGS
+from tests.support.shipped import CONFIGS, ROOT
 
 COMMANDS = [f"{program} {name}" for program in PROGRAMS for name in commands_of(program)]
 
@@ -115,7 +117,51 @@ def test_the_schema_describes_every_key() -> None:
     assert all("description" in each for each in schema["properties"].values())
     assert schema["$defs"]["SensorSettings"]["additionalProperties"] is False
     assert "breakaway" in json.loads(run("msp-range schema sensor").output)["properties"]
-    assert Scenario.model_json_schema()["properties"]
+
+
+@pytest.fixture
+def kinds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+    """Kinds of files as pyproject.toml has them, installed: those of this environment may be older."""
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        entries: dict[str, str] = tomllib.load(file)["project"]["entry-points"][FILE_KINDS]
+    metadata = tmp_path / f"msp_range-{__version__}.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: msp-range\nVersion: {__version__}\n")
+    lines = [f"[{FILE_KINDS}]", *(f"{name} = {place}" for name, place in entries.items())]
+    (metadata / "entry_points.txt").write_text("\n".join(lines))
+    monkeypatch.syspath_prepend(tmp_path)
+    return entries
+
+
+SHIPPED_OF = {
+    "airframe": "*.yaml",
+    "sensor": "sensors/*.yaml",
+    "scenario": "scenarios/*.yaml",
+    "campaign": "campaigns/*[!t].yaml",
+    "flights": "campaigns/flight.yaml",
+}
+
+
+@pytest.mark.parametrize("kind", SHIPPED_OF)
+def test_an_editor_accepts_what_is_shipped_and_marks_a_misspelled_key(kind: str, kinds: dict[str, str]) -> None:
+    assert SHIPPED_OF.keys() == kinds.keys()
+    validator = Draft202012Validator(json.loads(run("msp-range schema", kind).output))
+    files = sorted(CONFIGS.glob(SHIPPED_OF[kind]))
+    assert files
+    for path in files:
+        content = load_yaml(path.read_text())
+        assert not [error.message for error in validator.iter_errors(content)], path
+        assert "'snesors' was unexpected" in next(validator.iter_errors(content | {"snesors": 1})).message
+
+
+def test_a_kind_of_file_whose_package_is_missing_is_a_line(
+    kinds: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "msp_sim.flight.scenario", None)
+    output = run("msp-range schema scenario", code=3).output
+    assert output.startswith("the kind of file 'scenario' (msp_sim.flight.scenario:Scenario) cannot be loaded: ")
+    assert output.endswith("; install the package that contains it\n")
+    assert "expected one of airframe, campaign, flights, scenario, sensor" in run("msp-range schema x", code=2).output
 
 
 def test_sample_draws_from_the_model(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """The packages' functions for programs and notebooks: where they are found, and what finding them costs."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ import msp_sim
 from msp_range.config import load_airframe
 from msp_range.reading_model.mixture import ReadingModel
 from msp_sim import simulate_flight
+from tests.support.shipped import ROOT
 
 
 def test_each_is_what_its_module_has() -> None:
@@ -23,6 +25,19 @@ def test_each_is_what_its_module_has() -> None:
     for package in (msp_range, msp_sim, msp_lab):
         assert all(callable(getattr(package, name)) for name in package.__all__)
         assert not hasattr(package, "something_else")
+        assert dir(package) == [*package.__all__] == sorted(package.__all__)
+
+
+def test_the_document_for_programs_names_what_the_packages_have() -> None:
+    """Also while none of it has been imported: `dir` and completion in a notebook show it."""
+    text = (ROOT / "docs/notebooks.md").read_text(encoding="utf-8")
+    named = re.findall(r"^\| `(msp_\w+)\.(\w+)", text, re.M)
+    program = "import msp_range, msp_sim, msp_lab\nfor p in (msp_range, msp_sim, msp_lab): print(*dir(p))"
+    shown = [line.split() for line in run(program).splitlines()]
+    packages = ("msp_range", "msp_sim", "msp_lab")
+    assert sorted(named) == sorted(
+        (package, name) for package, names in zip(packages, shown, strict=True) for name in names
+    )
 
 
 def run(program: str) -> str:

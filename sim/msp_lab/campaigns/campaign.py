@@ -59,7 +59,10 @@ class Span(Section):
         return tuple(round(self.first + self.step * i, 6) for i in range(count + 1))
 
 
-_Spread = BeforeValidator(lambda given: Span.model_validate(given).values if isinstance(given, dict) else given)
+_Spread = BeforeValidator(
+    lambda given: Span.model_validate(given).values if isinstance(given, dict) else given,
+    json_schema_input_type=Span | tuple[float, ...],
+)
 """A span's values in place of the span."""
 
 

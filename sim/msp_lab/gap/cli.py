@@ -13,6 +13,7 @@ import typer
 
 from msp_lab.gap.findings import GapFindings, LastStep, Settings
 from msp_range.extras import require
+from msp_range.options import shipped
 from msp_range.yaml_file import ConfigError, config_path
 from msp_sim.cli import Jobs, OwnEffects, Scheduler, Seed
 
@@ -34,7 +35,13 @@ Measured = Annotated[
     ),
 ]
 Reference = Annotated[
-    Path, typer.Option("--model", metavar="MODEL.yaml", help="sensor model to compare the readings with")
+    Path,
+    typer.Option(
+        "--model",
+        metavar="MODEL.yaml",
+        help="sensor model to compare the readings with",
+        autocompletion=shipped("sensors"),
+    ),
 ]
 Alpha = Annotated[float, typer.Option(min=0.0001, max=0.5, help="family-wise false-positive rate")]
 MaxEffects = Annotated[int, typer.Option(min=0, max=100, help="largest number of effects to add")]

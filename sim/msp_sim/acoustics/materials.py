@@ -1,4 +1,4 @@
-"""Reflection of sound by a surface, from its acoustic impedance, and the impedances of typical ground.
+"""Reflection of sound by a surface, from its acoustic impedance, and the impedances and roughness of typical ground.
 
 The reflected share of the intensity follows from impedances in rayl (Pa s/m) (report eq 4). The table gives the source
 and uncertainty of each number. In air, solids and water reflect all but 0.2 % or less, so their impedances need not be
@@ -27,11 +27,21 @@ class Material:
         Where the number comes from.
     doubt
         Its uncertainty, and the effect on the echo.
+    rms_m
+        Root mean square of the height relative to the mean surface [m]; 0: smooth, an eighth of the 8 mm of a
+        wavelength or less.
+    length_m
+        Typical distance between two bumps [m].
+    roughness_source
+        Where the two come from.
     """
 
     impedance_rayl: float
     source: str
     doubt: str
+    rms_m: float = 0.0
+    length_m: float = 0.3
+    roughness_source: str = "assumed: smooth"
 
 
 def reflection_coefficient(medium_rayl: float, target_rayl: float) -> float:
@@ -131,13 +141,48 @@ MATERIALS: Mapping[str, Material] = MappingProxyType(
             "porosity 0.5 of the soil under a lawn (Attenborough 1985 and after), by porous_impedance_rayl at 20 deg C",
             "poorly known: 0.4 to 0.7 give -6 to -13 dB. Blades of grass are as wide as the wavelength and scatter; "
             "no measurement at 42 kHz was found",
+            0.01,
+            0.1,
+            "assumed: a lawn cut to 5 cm, as in configs/campaigns/future.yaml; tufts of 3 cm are in rough_grass.yaml",
+        ),
+        "dirt": Material(
+            _porous(0.4),
+            "assumed: porosity 0.4 of dry earth, by porous_impedance_rayl at 20 deg C",
+            "poorly known: 0.3 to 0.5 give -4 to -8 dB; wet or trodden earth reflects more",
+            0.005,
+            0.1,
+            "assumed: raked even",
+        ),
+        "gravel": Material(
+            2700.0 * 5000.0,
+            "assumed: the stones are granite, 2700 kg/m^3 and 5000 m/s; usual values, no one source",
+            "a factor of 2; 0.001 dB from a stone's face. Stones longer than the wavelength scatter, and are no porous "
+            "medium at 42 kHz: how much comes back from a bed of them is unknown",
+            0.01,
+            0.05,
+            "assumed: a third of the size of stones of 2 to 4 cm, as in configs/campaigns/future.yaml",
         ),
         "snow": Material(
             _porous(1.0 - 300.0 / 917.0),
             "settled snow of 300 kg/m^3 over ice of 917, by porous_impedance_rayl at 20 deg C. Gudra and Najwer 2011 "
             "(Acta Phys. Pol. A 120, 625) found at 40 kHz that the reflection grows linearly with density, 120 to 700",
             "poorly known: 100 kg/m^3 (new) gives -23 dB, 500 (old) -6 dB; a crust of ice reflects as a solid",
+            0.01,
+            0.5,
+            "assumed: settled snow in the wind",
+        ),
+        "foam": Material(
+            _porous(0.97),
+            "assumed: porosity 0.97 of open-cell foam, by porous_impedance_rayl at 20 deg C",
+            "poorly known: 0.95 to 0.99 give -30 to -44 dB, and foam whose cells are closed reflects nearly all",
         ),
     }
 )
 """Surfaces by name. The echo is weaker than a perfect mirror's by 10 log10 of `reflection_coefficient`."""
+
+
+def find_material(name: str) -> Material:
+    """The surface of this name; raises ValueError with the names that there are."""
+    if name not in MATERIALS:
+        raise ValueError(f"found {name!r}; expected one of {', '.join(MATERIALS)}")
+    return MATERIALS[name]

@@ -25,10 +25,10 @@ class SimulatedFlight(NamedTuple):
     summary: dict[str, Any]
     """The numbers of ``summary.json``."""
     readings: dict[str, Column]
-    """Columns by name, a row for each reading: `time_s`, `sensor`, `true_range_m` (what a sensor without errors would
+    """Columns by name, a row for each reading. `time_s`, `sensor`, `true_range_m` (what a sensor without errors would
     read), `range_m` (as the sensor gave it), `filtered_m` (after correction and filters). NaN: none."""
     fused: dict[str, Column]
-    """The same for the fused distance: `time_s`, `true_range_m`, `filtered_m`."""
+    """The same for the fused distance with `time_s`, `true_range_m`, `filtered_m`."""
 
 
 def simulate_flight(

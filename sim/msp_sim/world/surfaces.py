@@ -12,12 +12,13 @@ nearest point within the beam. Not modelled: corner reflectors, shadows behind o
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from msp_range.geometry import Vector, dot
 from msp_range.yaml_file import Section
+from msp_sim.acoustics.materials import find_material
 from msp_sim.world.profiles import Positive
 
 EDGE_REACH_M = 50.0
@@ -65,10 +66,21 @@ class Box(Section):
 class Roughness(Section):
     """Roughness of a surface, constant in time."""
 
-    rms_m: Annotated[float, Field(gt=0, le=0.2)]
+    rms_m: Annotated[float, Field(ge=0, le=0.2)]
     """root mean square of the height relative to the mean surface, from which heights above ground are counted [m]"""
     length_m: Annotated[float, Field(gt=0, le=10)] = 0.3
     """typical distance between two bumps [m]"""
+
+
+def _known_roughness(given: Any) -> Any:
+    if not isinstance(given, str):
+        return given
+    material = find_material(given)
+    return Roughness(rms_m=material.rms_m, length_m=material.length_m)
+
+
+NamedRoughness = Annotated[Roughness, BeforeValidator(_known_roughness, json_schema_input_type=Roughness | str)]
+"""A roughness by its numbers, or by the name of a surface in `msp_sim.acoustics.materials`."""
 
 
 class GroundSection(Section):
@@ -76,8 +88,9 @@ class GroundSection(Section):
 
     surface: str = "grass"
     """name of the surface before the first step"""
-    rough: dict[str, Roughness] = Field(default_factory=dict)
-    """roughness of surfaces by name; the others, and the tops of boxes, are smooth"""
+    rough: dict[str, NamedRoughness] = Field(default_factory=dict)
+    """roughness of surfaces by name: its numbers, or a known surface's name; the others, and the tops of boxes, are
+    smooth"""
     slope_deg: Annotated[float, Field(ge=0, le=45)] = 0.0
     """slope of the ground [deg]"""
     uphill_deg: float = 0.0

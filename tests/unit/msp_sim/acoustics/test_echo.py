@@ -73,8 +73,8 @@ def test_hard_surfaces_reflect_alike_and_soft_ones_less() -> None:
         assert -0.02 < levels_db[hard] < 0
         # Wrong by a factor of 3: still nothing that a sensor would notice.
         assert Target(MATERIALS[hard].impedance_rayl / 3).reflection_db(AIR) > -0.05
-    assert levels_db["snow"] < levels_db["grass"] < -5
-    assert all(material.source and material.doubt for material in MATERIALS.values())
+    assert levels_db["foam"] < levels_db["snow"] < levels_db["grass"] < levels_db["dirt"] < -5
+    assert all(each.source and each.doubt and each.roughness_source for each in MATERIALS.values())
 
 
 def test_a_porous_ground_lies_between_air_and_rock() -> None:

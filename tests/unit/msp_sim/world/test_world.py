@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from msp_range.geometry import Vector
 from msp_range.yaml_file import Section
+from msp_sim.acoustics.materials import MATERIALS
 from msp_sim.flight.scenario import Thermometer, ThermometerFault
 from msp_sim.world.surfaces import Box, GroundSection, GroundStep, HalfAngle, Roughness
 from msp_sim.world.vehicle import Pose
@@ -428,6 +429,16 @@ def test_rough_ground_varies_about_its_mean_from_which_heights_count() -> None:
     assert np.mean(off_m) == pytest.approx(0.0, abs=0.003)
     # A tuft's place says little of the next one's.
     assert abs(np.corrcoef(off_m[:-6], off_m[6:])[0, 1]) < 0.4
+
+
+def test_a_roughness_is_given_by_numbers_or_by_the_name_of_a_known_surface() -> None:
+    ground = GroundSection.model_validate({"rough": {"yard": "gravel", "pad": "concrete", "grass": {"rms_m": 0.03}}})
+    found = {name: (each.rms_m, each.length_m) for name, each in ground.rough.items()}
+    assert found == {"yard": (0.01, 0.05), "pad": (0.0, 0.3), "grass": (0.03, 0.3)}
+    for name in MATERIALS:
+        GroundSection.model_validate({"rough": {"grass": name}})
+    with pytest.raises(ValidationError, match=r"found 'gravle'; expected one of plywood, .*, gravel, snow, foam"):
+        GroundSection.model_validate({"rough": {"grass": "gravle"}})
 
 
 def test_only_the_surfaces_that_are_named_are_rough() -> None:
