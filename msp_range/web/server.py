@@ -70,6 +70,7 @@ class Page:
         self._history: deque[bytes] = deque(maxlen=HISTORY_PACKETS)
         self._kept: dict[str, bytes] = {}
         self._newest = Newest()
+        self._update(_gone())
         self._registry = CollectorRegistry()
         self._registry.register(BridgeMetrics(self._newest))
         self._files = {file.name: file.read_bytes() for file in (files("msp_range.web") / "static").iterdir()}
@@ -164,7 +165,7 @@ class Page:
                     self._update(packet)
             if self._bridge is not None:
                 self._bridge = None
-                self._update(b'{"topic":"%b","time_s":0,"message":{}}' % GONE.encode())
+                self._update(_gone())
             await asyncio.sleep(RETRY_S)
 
     def _update(self, packet: bytes) -> None:
@@ -187,6 +188,12 @@ class Page:
             batch, self._batch = _joined(self._batch), []
             ready = [browser for browser in self._browsers if browser.transport.get_write_buffer_size() < SLOW_BYTES]
             broadcast(ready, batch)
+
+
+def _gone() -> bytes:
+    """The packet in place of a bridge that does not run, with the reason in the form of a status's faults."""
+    fault = {"text": "no distances go out", "remedy": "sudo systemctl status msp-range", "severity": "error"}
+    return json.dumps({"topic": GONE, "time_s": 0, "message": {"faults": [fault | {"cause": None}]}}).encode()
 
 
 def _joined(packets: list[bytes]) -> str:
