@@ -151,6 +151,9 @@ def test_that_nothing_is_sent_and_that_no_bridge_runs_is_plain(tmp_path: Path) -
         check_access(page)
         it.watch.close()
         expect(page.locator("#state")).to_have_text("the bridge does not run")
+        page.reload()
+        expect(page.locator("#vehicle")).to_have_text("bench")
+        expect(page.locator("#state")).to_have_text("the bridge does not run")
         expect(page.locator("#distance")).to_have_text("none")
         check_access(page)
 
