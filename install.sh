@@ -65,7 +65,6 @@ while [ $# -gt 0 ]; do
 done
 [ -z "$PURGE" ] || [ "$UNINSTALL" ] || refuse "--purge goes with --uninstall" 2
 [ -z "$UNINSTALL" ] || [ -z "$UPGRADE$AIRFRAME$NO_WEB$ON_NETWORK" ] || refuse "--uninstall goes with --purge and --dry-run only" 2
-
 [ -z "$NO_WEB" ] || [ -z "$ON_NETWORK" ] || refuse "--no-web and --web-on-network: give one of them" 2
 
 check_computer() {
@@ -189,7 +188,8 @@ start_web() {
     run systemctl enable --quiet msp-range-web 2>/dev/null || true
     has_systemd || { [ -z "$ON_NETWORK" ] || say "When it runs: sudo msp-range web on"; return 0; }
     run systemctl restart msp-range-web || { say "the page does not start: journalctl -u msp-range-web -n 20"; return; }
-    if [ "$ON_NETWORK" ]; then run "$COMMAND" web on; else say "The page for a phone in the same network: sudo msp-range web on"; fi
+    [ "$ON_NETWORK" ] || { say "The page for a phone in the same network: sudo msp-range web on"; return; }
+    run "$COMMAND" web on || say "the page is not on the network: sudo msp-range web on"
 }
 
 switch_to() {
@@ -237,6 +237,7 @@ start() {
         rm -rf "$NEW"
         refuse "the new version does not start (above); the old one is back" 1
     fi
+    start_web  # it says why, too
     refuse "the service does not start (above)" 1
 }
 

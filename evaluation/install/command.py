@@ -344,7 +344,8 @@ def has_an_invalid_file(machine: Machine, receiver: Receiver) -> None:
         return "colour" in shown
 
     Machine.until("reason on the page", says_why)
-    say(f"    ok: and the page says why: {re.findall(r'No distances: [^.]*', shown)[0]!r}")
+    reason = re.findall('No distances: [^"]*', shown)[0]
+    say(f"    ok: and the page says why: {reason!r}")
     airframe.write_text(good + "# edited by its owner\n")
     machine.run("systemctl restart msp-range")
     receiver.await_distance()

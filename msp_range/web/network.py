@@ -40,9 +40,7 @@ def switch(on: bool) -> None:
         There is no page, this user may not change it, or it does not start.
     """
     if not UNIT.exists():
-        raise ConfigError(
-            f"{UNIT}: not there: no page is installed; sudo ./install.sh in the clone or release installs it"
-        )
+        raise ConfigError(f"{UNIT}: not there, so no page is installed; sudo ./install.sh installs it")
     try:
         if on:
             DROP_IN.parent.mkdir(exist_ok=True)
@@ -50,7 +48,7 @@ def switch(on: bool) -> None:
         else:
             DROP_IN.unlink(missing_ok=True)
             TOKEN.unlink(missing_ok=True)
-    except PermissionError as error:
+    except OSError as error:
         raise ConfigError(f"{error.filename}: {error.strerror}; with sudo, then again") from None
     for command in (["daemon-reload"], ["restart", UNIT.name]):
         if subprocess.run(["systemctl", *command]).returncode != 0:
