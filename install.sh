@@ -10,6 +10,7 @@ readonly STATE=/var/lib/msp-range    # recordings
 readonly SUMS=$OPT/installed.sha256  # what this script wrote, to tell an edited file from an old one
 readonly COMMAND=/usr/local/bin/msp-range
 readonly UNIT=/etc/systemd/system/msp-range.service
+readonly WEB_UNIT=/etc/systemd/system/msp-range-web.service
 readonly RULES=/etc/udev/rules.d/70-msp-range.rules
 readonly MODULES=/etc/modules-load.d/msp-range.conf
 SOURCE=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
@@ -18,7 +19,7 @@ readonly NEEDED_MB=700               # free disk: an installation has 300 MB, an
 
 usage() {
     cat <<HELP
-usage: sudo ./install.sh [--airframe NAME|FILE] [--no-web] [--upgrade] [--dry-run]
+usage: sudo ./install.sh [--airframe NAME|FILE] [--no-web|--web-on-network] [--upgrade] [--dry-run]
        sudo ./install.sh --uninstall [--purge] [--dry-run]
 
 Installs msp-range as a service: programs in $OPT, the airframe file in $ETC, recordings in $STATE.
@@ -26,6 +27,7 @@ Installs msp-range as a service: programs in $OPT, the airframe file in $ETC, re
   --airframe NAME|FILE  start from this example of configs/ (such as quad_pallet), or from this file; otherwise it asks.
                         An airframe file that exists is kept
   --no-web              without the web page (port 8642 of this computer); an upgrade keeps that choice
+  --web-on-network      other devices in the same network reach the page, by an address with a token: msp-range web on
   --upgrade             replace the programs of an installation; configuration and recordings stay
   --uninstall           remove programs and service; configuration and recordings stay
   --purge               with --uninstall: remove configuration, recordings and the user msp-range too
@@ -45,12 +47,13 @@ run() {
 examples() { (cd "$SOURCE/configs" && printf '%s\n' *.yaml | sed 's/\.yaml$//'); }
 has_systemd() { [ -d /run/systemd/system ]; }
 
-AIRFRAME='' UPGRADE='' NO_WEB='' UNINSTALL='' PURGE='' DRY_RUN=''
+AIRFRAME='' UPGRADE='' NO_WEB='' ON_NETWORK='' UNINSTALL='' PURGE='' DRY_RUN=''
 while [ $# -gt 0 ]; do
     case $1 in
         --airframe) [ $# -ge 2 ] || refuse "--airframe: expected a name or a file" 2; AIRFRAME=$2; shift ;;
         --airframe=*) AIRFRAME=${1#*=} ;;
         --no-web) NO_WEB=1 ;;
+        --web-on-network) ON_NETWORK=1 ;;
         --upgrade) UPGRADE=1 ;;
         --uninstall) UNINSTALL=1 ;;
         --purge) PURGE=1 ;;
@@ -61,7 +64,8 @@ while [ $# -gt 0 ]; do
     shift
 done
 [ -z "$PURGE" ] || [ "$UNINSTALL" ] || refuse "--purge goes with --uninstall" 2
-[ -z "$UNINSTALL" ] || [ -z "$UPGRADE$AIRFRAME$NO_WEB" ] || refuse "--uninstall goes with --purge and --dry-run only" 2
+[ -z "$UNINSTALL" ] || [ -z "$UPGRADE$AIRFRAME$NO_WEB$ON_NETWORK" ] || refuse "--uninstall goes with --purge and --dry-run only" 2
+[ -z "$NO_WEB" ] || [ -z "$ON_NETWORK" ] || refuse "--no-web and --web-on-network: give one of them" 2
 
 check_computer() {
     [ "$(id -u)" = 0 ] || [ "$DRY_RUN" ] || refuse "needs root: sudo ./install.sh"
@@ -151,19 +155,41 @@ put() {
 }
 
 install_files() {
-    local unit=$SOURCE/systemd/msp-range.service
-    if [ "$NO_WEB" ]; then
-        unit=$(mktemp)
-        sed '/^# The page at port/d; s/ --web [0-9]*$//' "$SOURCE/systemd/msp-range.service" >"$unit"
-    fi
-    put "$unit" $UNIT
-    [ -z "$NO_WEB" ] || rm "$unit"
+    put "$SOURCE/systemd/msp-range.service" $UNIT
+    if [ "$NO_WEB" ]; then remove_web; else put "$SOURCE/systemd/msp-range-web.service" $WEB_UNIT; fi
     put "$SOURCE/systemd/msp-range.rules" $RULES
     put "$SOURCE/systemd/msp-range.modules" $MODULES
     local each
     for each in "$SOURCE"/configs/sensors/*.yaml; do put "$each" "$ETC/sensors/$(basename "$each")"; done
     [ -e "$ETC/airframe.yaml" ] || run copy_configuration "$ETC"
     run install -d -o msp-range -g msp-range "$STATE"
+}
+
+remove_web() {
+    if has_systemd; then
+        run systemctl disable --quiet --now msp-range-web 2>/dev/null || true
+    else
+        run rm -f /etc/systemd/system/multi-user.target.wants/msp-range-web.service
+    fi
+    run rm -rf "$WEB_UNIT" "$WEB_UNIT.new" "$WEB_UNIT.d/network.conf"
+}
+
+# A unit that was edited, or a drop-in, may still have the page in the bridge's own command line, as before: its port
+# is not free then.
+has_own_page() { grep -qs -- '^ExecStart=.* --web' $UNIT $UNIT.d/*.conf; }
+
+start_web() {
+    [ -z "$NO_WEB" ] || return 0
+    if has_own_page; then
+        say "The page stays a part of msp-range.service, as --web in it says. Without that option there:"
+        say "sudo systemctl enable --now msp-range-web"
+        return
+    fi
+    run systemctl enable --quiet msp-range-web 2>/dev/null || true
+    has_systemd || { [ -z "$ON_NETWORK" ] || say "When it runs: sudo msp-range web on"; return 0; }
+    run systemctl restart msp-range-web || { say "the page does not start: journalctl -u msp-range-web -n 20"; return; }
+    [ "$ON_NETWORK" ] || { say "The page for a phone in the same network: sudo msp-range web on"; return; }
+    run "$COMMAND" web on || say "the page is not on the network: sudo msp-range web on"
 }
 
 switch_to() {
@@ -211,6 +237,7 @@ start() {
         rm -rf "$NEW"
         refuse "the new version does not start (above); the old one is back" 1
     fi
+    start_web  # it says why, too
     refuse "the service does not start (above)" 1
 }
 
@@ -221,7 +248,7 @@ remove_old() {
 }
 
 install_all() {
-    [ ! -e $UNIT ] || grep -q -- '--web' $UNIT || NO_WEB=1
+    [ ! -e $UNIT ] || [ -e $WEB_UNIT ] || [ "$ON_NETWORK" ] || has_own_page || NO_WEB=1
     [ -z "$UPGRADE" ] || [ -e "$OPT/venv" ] || refuse "nothing is installed in $OPT; leave out --upgrade"
     check_python
     choose_airframe
@@ -232,11 +259,13 @@ install_all() {
     load_rules
     report
     start
+    start_web
     remove_old
     say "Airframe file: $ETC/airframe.yaml (after a change: msp-range check, then systemctl reload msp-range)"
 }
 
 remove_all() {
+    remove_web
     if has_systemd; then
         run systemctl disable --quiet --now msp-range 2>/dev/null || true
     else
@@ -249,7 +278,7 @@ remove_all() {
         run udevadm control --reload 2>/dev/null || true
     fi
     if [ "$PURGE" ]; then
-        run rm -rf "$ETC" "$STATE" "$UNIT.d"
+        run rm -rf "$ETC" "$STATE" "$UNIT.d" "$WEB_UNIT.d"
         ! id msp-range >/dev/null 2>&1 || run userdel msp-range
         say "msp-range is removed, with its configuration and recordings"
     else

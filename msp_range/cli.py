@@ -251,6 +251,27 @@ def status(
     raise Exit(show(socket, once, json_lines))
 
 
+@app.command()
+def web(
+    switch: Annotated[
+        Literal["on", "off"] | None,
+        Argument(help="on: other devices in the same network reach the page; off: this computer only"),
+    ] = None,
+) -> None:
+    """Show who can reach the page of the installed service, its address and a QR code of it; or change that.
+
+    Neither 'on' nor 'off' touches the bridge: only the page is started again. Both need root.
+    """
+    from msp_range.extras import require
+
+    require("web", "msp-range web")
+    from msp_range.web import network
+
+    if switch is not None:
+        network.switch(switch == "on")
+    network.show()
+
+
 app.command()(params)
 app.command()(sign)
 

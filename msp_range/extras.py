@@ -12,7 +12,7 @@ EXTRAS = {
     "lab": ("jinja2", "matplotlib", "scipy", "threadpoolctl"),
     "fleet": ("bokeh", "distributed"),
     "logs": ("pyarrow", "pyulog", "rosbags"),
-    "web": ("prometheus_client", "websockets"),
+    "web": ("prometheus_client", "segno", "websockets"),
 }
 """Packages of each extra; a test compares it with pyproject.toml."""
 

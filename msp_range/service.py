@@ -9,10 +9,9 @@ import faulthandler
 import gc
 import os
 import signal
-import socket
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from types import FrameType
@@ -29,6 +28,7 @@ from msp_range.mavlink.transport import Transport, open_transport
 from msp_range.plausible import doubts
 from msp_range.recording.error import RecordingError
 from msp_range.reload import FlownAirframe
+from msp_range.systemd import notify_systemd
 from msp_range.watch.feed import FeedError
 from msp_range.watch.place import Outputs
 from msp_range.watch.view import FROM_AUTOPILOT
@@ -57,19 +57,6 @@ LONGEST_TRANSFER_S = 10.0
 """A transfer keeps the watchdog fed for this long [s]: adapters on USB give up after 2 to 4 s for each of its parts,
 and a restart helps none of them. Less restarts the bridge for ever with a slower one; more leaves a driver that hangs
 alone for longer."""
-
-
-def notify_systemd(state: str) -> None:
-    """Send a state such as READY=1 to systemd; without systemd, or with its socket full or gone, nothing happens.
-
-    WATCHDOG=1 comes from the polling loop. An unplugged adapter, a full disk or a silent autopilot do not stop the
-    loop, so the watchdog is still fed: a restart would not help. Anything else that stops the loop causes one, apart
-    from a transfer that the kernel has not given up, see `transfers_watched`.
-    """
-    address = os.environ.get("NOTIFY_SOCKET")
-    if address:
-        with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as sender:
-            sender.sendto(state.encode(), "\0" + address[1:] if address.startswith("@") else address)
 
 
 @contextmanager
@@ -278,7 +265,7 @@ def _fly(
         transport,
         report=lambda severity, text: log.write(severity.name.lower(), text),
         on_message=lambda now_s, message: None if watch is None else watch.on_message(now_s, message),
-        wanted=FROM_AUTOPILOT if outputs.web is not None else None,
+        wanted=FROM_AUTOPILOT,
         thermometer=thermometer,
         signing=signing_of(airframe.link.signing_key, clock),
     )

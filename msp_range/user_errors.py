@@ -13,6 +13,7 @@ from typer.core import TyperGroup
 from msp_range import __version__
 from msp_range.errors import UserError
 from msp_range.input_file import printable
+from msp_range.systemd import notify_systemd
 
 EXIT_COMMAND_LINE = 2
 """Exit code: invalid command line."""
@@ -41,7 +42,8 @@ def report_user_errors(command: Callable[Parameters, None]) -> Callable[Paramete
         except KeyboardInterrupt:
             raise Exit(EXIT_INTERRUPTED) from None
         except UserError as error:
-            print(printable(str(error)), file=sys.stderr)
+            print(text := printable(str(error)), file=sys.stderr)
+            notify_systemd(f"STATUS={' '.join(text.split())}")
             raise Exit(EXIT_FILE) from None
         except OSError as error:
             if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.ENAMETOOLONG):

@@ -29,6 +29,9 @@ RESTARTED_S = 10.0
 """A killed service sends distances again within this; docs/flying.md has what it takes on an idle computer."""
 INSTALL = "sudo ./install.sh"
 """As docs/installing.md shows it."""
+WEB_ON = "sudo msp-range web on"
+"""As docs/watching.md shows it."""
+SUDO = 'sudo() { "$@"; }'
 EMPTY_DISK_MB = 24
 MAX_BRIDGE_MB, MAX_PAGE_MB = 170, 60
 """What bridge and page may hold in memory."""
@@ -145,19 +148,52 @@ def install(machine: Machine, receiver: Receiver) -> None:
     expect("msp-range " in machine.run("msp-range --version").stdout, "the command msp-range is there")
     shown = machine.run("runuser -u nobody -- msp-range status || test $? = 4").stdout
     expect("distance down" in shown, "msp-range status shows it to any user")
-    page = machine.run(
-        f"{OPT_PYTHON} -c 'import urllib.request as u; print(u.urlopen(\"{PAGE}\").read().decode())'"
-    ).stdout
-    expect("<!doctype html>" in page, "the page is served")
+    expect(is_served(machine), "the page is served")
+    exposure = machine.run("systemd-analyze security --no-pager msp-range-web").stdout.splitlines()[-1]
+    expect(float(re.findall(r": ([0-9.]+)", exposure)[0]) <= MAX_EXPOSURE, exposure.strip())
     pages = machine.run("pgrep -f msp_range.web").stdout.split()
     resident_mb = [resident(machine, each) for each in (pid, pages[0])]
     expect(
         resident_mb[0] <= MAX_BRIDGE_MB and resident_mb[1] <= MAX_PAGE_MB, f"resident: bridge, page: {resident_mb} MB"
     )
-    sudo = 'sudo() { "$@"; }'
-    done = machine.run(f"cd msp-range && {sudo}; {INSTALL}", check=False)
+    done = machine.run(f"cd msp-range && {SUDO}; {INSTALL}", check=False)
     expect(done.returncode == 0, "installing once more does no harm")
     receiver.await_distance()
+
+
+def is_served(machine: Machine, url: str = PAGE) -> bool:
+    """Whether the page is there."""
+    program = f'import urllib.request as u; print(u.urlopen("{url}").read().decode())'
+    return "<!doctype html>" in machine.run(f"{OPT_PYTHON} -c '{program}'", check=False).stdout
+
+
+def is_reached_by_a_phone(machine: Machine, receiver: Receiver) -> None:
+    """`msp-range web on` and `off`, while the bridge flies on."""
+    pid = machine.show("MainPID")
+    expect("only this computer" in machine.run("msp-range web").stdout.lower(), "at first nobody else reaches the page")
+    say(machine.run(f"{SUDO}; {WEB_ON}").stdout)
+    url = re.findall(r"http://\S+", machine.run("msp-range web").stdout)[0]
+    expect(is_served(machine, url), "the address that it prints has the page")
+    expect(not is_served(machine, url.partition("?")[0]), "and without its token nobody gets in")
+    refused = machine.run("runuser -u nobody -- msp-range web", check=False)
+    expect(refused.returncode == 3, f"another user is not told it: {refused.stderr.strip()!r}")
+    machine.run("msp-range web off")
+    expect(not is_served(machine, url) and is_served(machine), "off: this computer only")
+    expect(machine.show("MainPID") == pid, "the bridge was not restarted")
+    receiver.await_distance()
+
+
+def has_a_unit_of_before(machine: Machine, receiver: Receiver) -> None:
+    """The page was a part of the bridge's unit, and becomes one of its own."""
+    unit = "/etc/systemd/system/msp-range.service"
+    machine.run("systemctl disable -q --now msp-range-web; rm /etc/systemd/system/msp-range-web.service")
+    machine.run(f"sed -i 's/--log json$/& --web 8642/' {unit}; sha256sum {unit} >>/opt/msp-range/installed.sha256")
+    machine.run("systemctl daemon-reload; systemctl restart msp-range")
+    Machine.until("page", lambda: is_served(machine))
+    machine.run("cd msp-range && ./install.sh --upgrade")
+    receiver.await_distance()
+    expect("--web" not in machine.run(f"cat {unit}").stdout, "the bridge's unit has no page any more")
+    expect(is_active(machine, "msp-range-web") and is_served(machine), "the page has a unit of its own")
 
 
 DEVICES = {
@@ -299,6 +335,17 @@ def has_an_invalid_file(machine: Machine, receiver: Receiver) -> None:
     expect(machine.show("ExecMainStatus") == "3", "an invalid airframe file: exit code 3, not started again")
     journal = machine.run("journalctl -u msp-range -o cat --no-pager -n 8").stdout
     expect("colour" in journal, "and the journal names the place")
+    program = 'from websockets.sync.client import connect; print(connect("ws://127.0.0.1:8642/live").recv())'
+    shown = ""
+
+    def says_why() -> bool:
+        nonlocal shown
+        shown = machine.run(f"{OPT_PYTHON} -c '{program}'", check=False).stdout
+        return "colour" in shown
+
+    Machine.until("reason on the page", says_why)
+    reason = re.findall('No distances: [^"]*', shown)[0]
+    say(f"    ok: and the page says why: {reason!r}")
     airframe.write_text(good + "# edited by its owner\n")
     machine.run("systemctl restart msp-range")
     receiver.await_distance()
@@ -348,15 +395,16 @@ def boots_again(machine: Machine, receiver: Receiver) -> None:
     say("    ok: it starts at boot")
 
 
-def is_active(machine: Machine) -> bool:
-    """Whether the service runs."""
-    return machine.show("ActiveState") == "active"
+def is_active(machine: Machine, unit: str = "msp-range") -> bool:
+    """Whether a service runs."""
+    return machine.show("ActiveState", unit) == "active"
 
 
 def is_removed(machine: Machine) -> None:
     """--uninstall keeps what is the owner's, --purge does not."""
     say(machine.run("cd msp-range && ./install.sh --uninstall").stdout)
-    for gone in ("/opt/msp-range", "/etc/systemd/system/msp-range.service", "/usr/local/bin/msp-range"):
+    units = (f"/etc/systemd/system/msp-range{each}.service" for each in ("", "-web"))
+    for gone in ("/opt/msp-range", *units, "/usr/local/bin/msp-range"):
         expect(machine.run(f"test -e {gone}", check=False).returncode != 0, f"{gone} is gone")
     expect(machine.show("LoadState") == "not-found" or not is_active(machine), "the service is gone")
     expect("by its owner" in machine.run("cat /etc/msp-range/airframe.yaml").stdout, "the airframe file is kept")
@@ -400,6 +448,8 @@ def main(given: argparse.Namespace) -> int:
             hangs,
             loses_its_disk,
             has_an_invalid_file,
+            is_reached_by_a_phone,
+            has_a_unit_of_before,
             is_upgraded,
             boots_again,
         ):

@@ -29,6 +29,7 @@ from msp_range.watch.newest import GONE, Newest
 from msp_range.watch.place import Listen
 from msp_range.web.access import refusal
 from msp_range.web.metrics import BridgeMetrics
+from msp_range.web.outage import gone_packet, unit_state
 
 BATCH_S = 0.05
 """Packets of this time go to the browsers together [s]: the eye sees no delay, and a phone wakes 20 times a second."""
@@ -37,7 +38,7 @@ HISTORY_PACKETS = 4000
 SLOW_BYTES = 1 << 20
 """A browser with more unsent data than this gets no more until it has read it: ten seconds of four sensors."""
 RETRY_S = 0.5
-"""Time between two tries to find the bridge [s]."""
+"""Time between two tries to find the bridge [s], and between two questions why it does not run, of 10 ms each."""
 NOT_SHOWN = tuple(f'{{"topic":"{topic}"'.encode() for topic in (SENT_TOPIC, WITHHELD_TOPIC, MOTION_TOPIC))
 """Beginnings of packets that the page does not draw: the topic comes first in a packet."""
 TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
@@ -59,9 +60,12 @@ class Page:
         Path of the bridge's socket.
     token
         What a browser must know to see it; None: nothing.
+    unit
+        Unit of the bridge, see `msp_range.web.outage`; None: it is no service.
     """
 
-    def __init__(self, bridge: Path, token: str | None) -> None:
+    def __init__(self, bridge: Path, token: str | None, unit: str | None = None) -> None:
+        self._unit = unit
         self._path = bridge
         self._token = token
         self._bridge: socket.socket | None = None
@@ -70,6 +74,8 @@ class Page:
         self._history: deque[bytes] = deque(maxlen=HISTORY_PACKETS)
         self._kept: dict[str, bytes] = {}
         self._newest = Newest()
+        self._requests = {"mark": self._mark}
+        self._update(gone_packet(None))
         self._registry = CollectorRegistry()
         self._registry.register(BridgeMetrics(self._newest))
         self._files = {file.name: file.read_bytes() for file in (files("msp_range.web") / "static").iterdir()}
@@ -93,7 +99,8 @@ class Page:
         loop = asyncio.get_running_loop()
         for signum in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(signum, stop.set)
-        loop.add_reader(sys.stdin.fileno(), stop.set)
+        with suppress(PermissionError):  # of a service it is /dev/null
+            loop.add_reader(sys.stdin.fileno(), stop.set)
         async with serve(
             self._on_browser,
             listen.host,
@@ -134,22 +141,27 @@ class Page:
         return _response(f"{TYPES[Path(name).suffix]}; charset=utf-8", self._files[name])
 
     async def _on_browser(self, browser: ServerConnection) -> None:
-        """Send what is known, then let `_send` do the rest; take marks."""
-        await browser.send(_joined([*self._kept.values(), *self._history]))
+        """Send what is known, then let `_send` do the rest; do what it requests."""
+        last = [self._kept[GONE]] if GONE in self._kept else []  # any other packet is one of a bridge that runs
+        await browser.send(_joined([*self._kept.values(), *self._history, *last]))
         self._browsers.add(browser)
         try:
             async for message in browser:
-                self._mark(message)
+                self._on_message(message)
         except ConnectionClosed:
             pass
         finally:
             self._browsers.discard(browser)
 
-    def _mark(self, message: str | bytes) -> None:
-        with suppress(ValueError, KeyError, TypeError, OSError, RecursionError):
-            text = str(json.loads(message)["mark"])[:LONGEST_MARK]
-            if self._bridge is not None:
-                self._bridge.send(json.dumps({"mark": text}).encode())
+    def _on_message(self, message: str | bytes) -> None:
+        """Do what a browser requests: one JSON object, whose key is the request's name."""
+        with suppress(ValueError, KeyError, TypeError, OSError, RecursionError, AttributeError):
+            ((name, content),) = json.loads(message).items()
+            self._requests[name](content)
+
+    def _mark(self, text: object) -> None:
+        if self._bridge is not None:
+            self._bridge.send(json.dumps({"mark": str(text)[:LONGEST_MARK]}).encode())
 
     async def _receive(self) -> None:
         """Packets from the bridge, from the next one when it ends."""
@@ -162,10 +174,14 @@ class Page:
                 self._history.clear()
                 while packet := await loop.sock_recv(connection, LONGEST_PACKET):
                     self._update(packet)
-            if self._bridge is not None:
-                self._bridge = None
-                self._update(b'{"topic":"%b","time_s":0,"message":{}}' % GONE.encode())
+            self._bridge = None
+            await self._show_outage()
             await asyncio.sleep(RETRY_S)
+
+    async def _show_outage(self) -> None:
+        packet = gone_packet(None if self._unit is None else await unit_state(self._unit))
+        if self._kept.get(GONE) != packet:
+            self._update(packet)
 
     def _update(self, packet: bytes) -> None:
         if packet.startswith(NOT_SHOWN):

@@ -96,6 +96,7 @@ ELSEWHERE = {
     "make check": ".ci/run",
     "make test-install": "evaluation/install/command.py",
     "sudo ./install.sh": "evaluation/install/command.py",
+    "sudo msp-range web on": "evaluation/install/command.py",
     "msp-lab design gaps/june --bench --max-minutes 90": "tests/loop/test_design.py",
     "msp-lab collect gaps/june/design/1-*/campaign.yaml --out new": "tests/loop/test_design.py",
     "msp-lab gap OLD.csv new/readings.csv --model MODEL.yaml --out gaps/july": "tests/loop/test_design.py",

@@ -20,29 +20,40 @@ def install(*arguments: str) -> "subprocess.CompletedProcess[str]":
     )
 
 
-def test_the_unit_is_hardened() -> None:
+@pytest.mark.parametrize("name", ["msp-range", "msp-range-web"])
+def test_the_unit_is_hardened(name: str) -> None:
     if shutil.which("systemd-analyze") is None:
         missing("no systemd-analyze: apt-get install systemd")
-    unit = ROOT / "systemd" / "msp-range.service"
+    unit = ROOT / "systemd" / f"{name}.service"
     threshold = f"--threshold={round(10 * MAX_EXPOSURE)}"
     done = subprocess.run(
         ["systemd-analyze", "security", "--offline=yes", "--no-pager", threshold, unit], capture_output=True, text=True
     )
     assert done.returncode == 0, done.stdout.splitlines()[-1]
-    assert "msp-range.service" in done.stdout.splitlines()[-1]
+    assert f"{name}.service" in done.stdout.splitlines()[-1]
 
 
 @pytest.mark.slow
 def test_a_dry_run_names_what_it_would_do(tmp_path: Path) -> None:
     done = install("--dry-run", "--airframe", "quad_pallet")
     assert done.returncode == 0, done.stderr
-    for what in ("useradd", "/etc/systemd/system/msp-range.service", "70-msp-range.rules", "sensors/mb1242.yaml"):
+    for what in (
+        "useradd",
+        "/etc/systemd/system/msp-range.service",
+        "msp-range-web.service",
+        "70-msp-range.rules",
+        "sensors/mb1242.yaml",
+    ):
         assert what in done.stdout
     assert not Path("/opt/msp-range").exists()
     own = tmp_path / "own.yaml"
     own.touch()
     assert str(own) not in install("--dry-run", "--airframe", "loopback").stdout
     assert install("--dry-run", "--airframe", str(own)).returncode == 0
+    assert (
+        "/systemd/msp-range-web.service /etc/systemd"
+        not in install("--dry-run", "--airframe", "loopback", "--no-web").stdout
+    )
 
 
 @pytest.mark.parametrize(
@@ -51,6 +62,8 @@ def test_a_dry_run_names_what_it_would_do(tmp_path: Path) -> None:
         (("--whatever",), 2, "unknown option --whatever"),
         (("--purge", "--dry-run"), 2, "--purge goes with --uninstall"),
         (("--uninstall", "--upgrade", "--dry-run"), 2, "--uninstall goes with"),
+        (("--no-web", "--web-on-network", "--dry-run"), 2, "give one of them"),
+        (("--uninstall", "--web-on-network", "--dry-run"), 2, "--uninstall goes with"),
         (("--dry-run",), 2, "quad_pallet"),
         (("--dry-run", "--airframe"), 2, "expected a name or a file"),
         (("--dry-run", "--airframe", "octo"), 2, "neither a file nor an example"),

@@ -110,9 +110,9 @@ def browser(url: str, **options: Any) -> Iterator[tuple[Page, list[str]]]:
 
 
 @contextmanager
-def page_alone(listen: str, feed: Path, stderr: int) -> Iterator[subprocess.Popen[str]]:
+def page_alone(listen: str, feed: Path, stderr: int, *options: str) -> Iterator[subprocess.Popen[str]]:
     """A page's process without a bridge's help, which ends with the block also where a check in it fails."""
-    command = [str(COMMAND.with_name("python")), "-m", "msp_range.web", listen, "--socket", str(feed)]
+    command = [str(COMMAND.with_name("python")), "-m", "msp_range.web", listen, "--socket", str(feed), *options]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=stderr, text=True) as server:
         try:
             yield server
@@ -193,7 +193,7 @@ def test_distances_that_nobody_gets_are_not_shown_as_good(tmp_path: Path) -> Non
             assert "msp_range_critical 1.0" in bridge.get("metrics")
             bridge.end.autopilot = Autopilot()
             bridge.until(lambda: page.locator("#state").get_attribute("data-state") == "active")
-            bridge.until(lambda: not page.is_visible("#wrong") or reason not in text(page, "#faults"))
+            bridge.until(lambda: reason not in text(page, "#faults"))
             assert errors == []
 
 
@@ -210,10 +210,10 @@ def test_that_nothing_is_sent_is_plain_and_neither_good_nor_bad(tmp_path: Path) 
                 assert text(page, "#distance").startswith("2.9")
                 assert text(page, "#distance-more").startswith("not sent; deviation")
                 assert "no distances, 0 frames dropped" in text(page, "#facts")
-                assert "no distances are sent (send: nothing)" in text(page, "#faults")
+                assert "no distances are sent (send: nothing)" in text(page, "#verdict")
 
             bridge.until_passes(shows_it)
-            colour = "getComputedStyle(document.querySelector('#state')).color"
+            colour = "getComputedStyle(document.querySelector('#state')).backgroundColor"
             neutral = "getComputedStyle(document.querySelector('body')).color"
             assert page.evaluate(colour) == page.evaluate(neutral)
             assert bridge.status("--once").returncode == 4
@@ -262,6 +262,26 @@ def test_the_page_finds_the_bridge_again(tmp_path: Path) -> None:
                 assert errors == []
             server.send_signal(signal.SIGTERM)
             assert server.wait(LIMIT_S) == 0
+
+
+def test_the_page_of_a_service_that_cannot_start_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As systemd knows it; the page needs neither the bridge nor a standard input."""
+    systemctl = tmp_path / "systemctl"
+    answer = "Id=msp-range.service\nActiveState=failed\nExecMainStatus=3\nStatusText=airframe.yaml:3: found colour"
+    systemctl.write_text(f"#!/bin/sh\necho '{answer}'\n")
+    systemctl.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    port = free_port(socket.SOCK_STREAM)
+    with page_alone(str(port), tmp_path / "none", subprocess.PIPE, "--unit", "msp-range.service") as server:
+        assert server.stderr is not None
+        server.stderr.readline()
+        with browser(f"http://127.0.0.1:{port}/") as (page, errors):
+            expect(page.locator("#state")).to_have_text("the bridge does not run")
+            expect(page.locator("#faults")).to_contain_text("No distances: airframe.yaml:3: found colour")
+            expect(page.locator("#faults small")).to_contain_text("sudo systemctl restart msp-range.service")
+            systemctl.write_text(f"#!/bin/sh\necho '{answer}' | sed s/failed/inactive/\n")
+            expect(page.locator("#faults")).to_contain_text("No distances: msp-range.service is stopped")
+            assert errors == []
 
 
 @pytest.mark.slow

@@ -67,11 +67,11 @@ function drawing(id, halfU, halfV, cu, cv) {
   return { picture, width, height, scale, at };
 }
 
-function scaleBar({ width, height, scale }) {
+function scaleBar({ width, scale }, bottom) {
   const lengthM = niceLength(0.3 * width / scale);
-  const [x, y] = [8, height - 8];
+  const [x, y] = [4, bottom];
   return [svg("line", { class: "scale", x1: x, y1: y, x2: x + lengthM * scale, y2: y }),
-    svg("text", { x, y: y - 4 }, `${lengthM} m`)];
+    svg("text", { class: "length", x, y: y - 6 }, `${lengthM} m`)];
 }
 
 function drawAbove(beams) {
@@ -87,24 +87,40 @@ function drawAbove(beams) {
     shapes.push(svg("circle", { class: `beam ${kind}`, cx, cy, r: Math.max(radiusM * on.scale, 2), "data-sensor": sensor.name }));
     if (Math.hypot(cx - sx, cy - sy) > 3) shapes.push(svg("line", { class: `beam ${kind}`, x1: sx, y1: sy, x2: cx, y2: cy }));
   }
-  shapes.push(...labels(beams.map(({ sensor, kind, start, end }) => {
-    const [x, y] = on.at((start[1] + end[1]) / 2, -(start[0] + end[0]) / 2);
-    return { x, y, kind, text: sensor.name };
-  }), on));
-  on.picture.replaceChildren(...shapes, ...scaleBar(on));
+  on.picture.replaceChildren(...shapes, ...scaleBar(on, on.height - 4));
+  nameBeams(on, beams);
 }
 
-// Names do not cover each other: one that would is moved below the one before.
-function labels(wanted, { width }) {
-  const placed = [];
-  for (const { x, y, kind, text } of wanted) {
-    const half = 3.2 * text.length;
-    const place = { x: Math.min(Math.max(x, half + 2), width - half - 2), y: y - 4, half };
-    while (placed.some((each) => Math.abs(each.x - place.x) < each.half + half && Math.abs(each.y - place.y) < 12)) place.y += 12;
-    placed.push(place);
-    place.element = svg("text", { x: place.x, y: place.y, "text-anchor": "middle", class: kind }, text);
+// Writes each sensor's name where its beam is farthest from the middle; one that would cover another text moves to the
+// nearest free line.
+function nameBeams({ picture, width, height, at, scale }, beams) {
+  const taken = [...picture.querySelectorAll("text")].map((each) => each.getBBox());
+  for (const { sensor, kind, radiusM, start, end } of beams) {
+    const [forward, right] = [start[0] + end[0], start[1] + end[1]];
+    const length = Math.hypot(forward, right) || 1;
+    const [x, y] = at(end[1], -end[0]);
+    const text = svg("text", { class: kind, "text-anchor": "middle" }, sensor.name);
+    picture.append(text);
+    const size = text.getBBox();
+    const box = { width: size.width, height: size.height,
+      x: x + right / length * radiusM * scale - size.width / 2, y: y - forward / length * radiusM * scale - size.height / 2 };
+    box.x = Math.max(0, Math.min(width - box.width, box.x));
+    box.y = freeLine(box, taken, height);
+    taken.push(box);
+    text.setAttribute("x", box.x + box.width / 2);
+    text.setAttribute("y", box.y - size.y);
   }
-  return placed.map((each) => each.element);
+}
+
+// The place nearest to a box, upwards or downwards, where it covers none of the others.
+function freeLine(box, others, height) {
+  const lowest = height - box.height;
+  const inside = Math.max(0, Math.min(lowest, box.y));
+  const near = others.filter((each) => each.x < box.x + box.width && box.x < each.x + each.width);
+  return [inside, ...near.flatMap((each) => [each.y - box.height, each.y + each.height])]
+    .filter((y) => y >= 0 && y <= lowest)
+    .filter((y) => near.every((each) => y + box.height <= each.y || each.y + each.height <= y))
+    .sort((one, other) => Math.abs(one - inside) - Math.abs(other - inside))[0] ?? inside;
 }
 
 function outline(on, points) {
@@ -137,7 +153,7 @@ function drawSide(beams) {
     const [x2, y2] = on.at(highU + halfM, groundM + slope * (highU + halfM));
     shapes.push(svg("line", { class: "ground", x1, y1, x2, y2 }));
   }
-  on.picture.replaceChildren(...shapes, ...scaleBar(on));
+  on.picture.replaceChildren(...shapes, ...scaleBar(on, 24));
 }
 
 // How much farther down the ground is for each metre forward, in the vehicle's own axes.

@@ -1,27 +1,39 @@
 // The page's numbers and lists: distance, air, link, what is wrong, the texts to the pilot.
 
-import { byId, made, metres } from "./elements.js";
-import { OLD_S, presentDistance, state } from "./state.js";
+import { byId, made, metres, rounded } from "./elements.js";
+import { OLD_S, isLive, presentDistance, state } from "./state.js";
+
+// What a state means, where nothing is wrong.
+const MEANS = {
+  active: "Distances go out, the autopilot is received.",
+  starting: "Not all sensors and the autopilot are known yet.",
+  waiting: "The bridge has not sent its state yet.",
+};
+const OFFLINE = { text: "This page has lost its connection.", severity: "error", cause: null,
+  remedy: "Is this device in the vehicle's network, and its computer on? The page tries again by itself." };
 
 export function drawNumbers() {
   const { airframe, status } = state;
   const badge = byId("state");
-  const shown = state.gone ? "gone" : status?.state ?? "waiting";
+  const shown = state.offline ? "offline" : state.gone ? "gone" : status?.state ?? "waiting";
   badge.dataset.state = shown;
-  badge.textContent = { gone: "the bridge does not run", waiting: "waiting for the bridge" }[shown] ?? shown;
-  drawFaults(state.gone ? [] : status?.faults ?? []);
+  badge.textContent = { offline: "no connection", gone: "the bridge does not run" }[shown] ?? shown;
+  const faults = state.offline ? [OFFLINE] : state.gone ?? status?.faults ?? [];
+  drawFaults(faults.length ? faults : [{ text: MEANS[shown], severity: "fine", cause: null }]);
   if (!airframe) return;
   byId("vehicle").textContent = document.title = airframe.vehicle;
   const distance = presentDistance();
-  byId("distance").textContent = state.gone ? "–" : distance ? metres(distance.range_m) : "no distance";
+  byId("facts-section").hidden = !isLive();
+  byId("now").hidden = airframe.reference_down_m === null;
+  byId("distance").textContent = distance ? metres(distance.range_m) : "none";
   byId("distance-more").textContent = !distance ? "" : (airframe.sends_nothing ? "not sent; " : "") +
-    `deviation ${(100 * Math.sqrt(distance.variance_m2)).toFixed(1)} cm, climbing ${distance.climb_m_s.toFixed(1)} m/s, ` +
-    `slope ${(180 / Math.PI * Math.atan(Math.hypot(distance.rise_north, distance.rise_east))).toFixed(0)} deg`;
+    `deviation ${rounded(100 * Math.sqrt(distance.variance_m2), 1)} cm, climb ${rounded(distance.climb_m_s, 1)} m/s`;
   if (!status) return;
   // The rows of msp_range/watch/facts.py, which the bridge sends with its status.
   const facts = [
     ...status.facts.filter((fact) => fact.in_list).map(({ name, text }) => [name, text.replace(/^:? /, "")]),
     ["it received", received()],
+    ["ground", distance ? `slope ${rounded(slopeDeg(distance), 0)} deg` : "not known"],
     ["running for", duration(status.uptime_s)],
   ];
   byId("facts").replaceChildren(...facts.flatMap(([name, text]) => [made("dt", name), made("dd", text)]));
@@ -29,18 +41,24 @@ export function drawNumbers() {
     (each) => made("li", `${duration(state.nowS - each.timeS)} ago: ${each.text}`, each.severity)));
 }
 
-// What is wrong: causes with what to do, and behind each what follows from it. Drawn when it changes, since it is read
-// aloud then.
-let shownFaults = "[]";
+const slopeDeg = ({ rise_north: north, rise_east: east }) => 180 / Math.PI * Math.atan(Math.hypot(north, east));
+
+// What is wrong: the first cause with what to do, and on demand what follows from it and the others. Drawn when it
+// changes, since it is read aloud then.
+byId("more").open = matchMedia("(min-width: 60rem)").matches;
+let shownFaults = "";
 function drawFaults(faults) {
   if (shownFaults === JSON.stringify(faults)) return;
   shownFaults = JSON.stringify(faults);
-  byId("wrong").hidden = !faults.length;
-  byId("faults").replaceChildren(...faults.map((each) => {
+  const lines = faults.map((each) => {
     const line = made("li", each.text, each.cause === null ? each.severity : "follows");
-    if (each.cause === null) line.append(made("small", each.remedy));
+    if (each.cause === null && each.remedy) line.append(made("small", each.remedy));
     return line;
-  }));
+  });
+  byId("faults").replaceChildren(...lines.splice(0, 1));
+  byId("more").hidden = !lines.length;
+  byId("more").querySelector("summary").textContent = `${lines.length} more`;
+  byId("more-faults").replaceChildren(...lines);
 }
 
 function received() {

@@ -28,9 +28,9 @@ let connection = null;
 function connect() {
   connection = new WebSocket(`${location.origin.replace(/^http/, "ws")}/live${location.search}`);
   connection.onmessage = (event) => { JSON.parse(event.data).forEach(take); drawSoon(); };
-  connection.onopen = () => { byId("add-mark").disabled = false; };
+  connection.onopen = () => { byId("add-mark").disabled = state.offline = false; };
   connection.onclose = () => {
-    byId("add-mark").disabled = state.gone = true;
+    byId("add-mark").disabled = state.offline = true;
     drawSoon();
     setTimeout(connect, RETRY_MS);
   };

@@ -6,12 +6,14 @@ const TEXTS = 30;           // reports to the pilot that are listed
 
 export const state = {
   airframe: null, status: null, attitude: null, fused: null, autopilot: {}, texts: [],
-  readings: {}, lines: [], nowS: 0, echoS: 0, gone: true,
+  readings: {}, lines: [], nowS: 0, echoS: 0,
+  gone: null,     // while no bridge runs: why, in the form of the status's faults
+  offline: true,  // while this page's server is not reached
 };
 
 export function take({ topic, time_s: timeS, message }) {
-  if (topic === "/gone") { state.gone = true; return; }
-  state.gone = false;
+  if (topic === "/gone") { state.gone = message.faults; return; }
+  state.gone = null;
   state.nowS = Math.max(state.nowS, timeS);
   if (topic.startsWith("/range/")) {
     const list = state.readings[topic.slice(7)] ??= [];
@@ -53,15 +55,13 @@ export function reasonOf(reading) {
   return reading.status !== "ok" ? words(reading.status) : reading.rejected ? words(reading.rejected) : "";
 }
 
-export function newest(name) {
-  const list = state.readings[name];
-  const last = list && list[list.length - 1];
-  return last && state.nowS - last.timeS < OLD_S ? last : null;
-}
+export const isLive = () => !state.gone && !state.offline;
 
-export function presentDistance() {
-  return state.fused && state.nowS - state.fused.timeS < OLD_S ? state.fused : null;
-}
+const present = (last) => last && isLive() && state.nowS - last.timeS < OLD_S ? last : null;
+
+export const newest = (name) => present(state.readings[name]?.at(-1));
+
+export const presentDistance = () => present(state.fused);
 
 export function faultOf(name) {
   return state.status?.sensors[name]?.fault ?? null;

@@ -29,17 +29,18 @@ function strip(name, isFused = false) {
 export function drawStrips() {
   if (shown !== state.airframe) makeStrips();
   const style = getComputedStyle(document.documentElement);
-  const colour = Object.fromEntries(["used", "filtered", "rejected", "nothing", "soft", "line"].map(
+  const colour = Object.fromEntries(["used", "filtered", "rejected", "nothing", "line", "card"].map(
     (each) => [each, style.getPropertyValue(`--${each}`)]));
-  const highest = 1.1 * Math.max(1, ...Object.values(state.readings).flat().map((each) => each.corrected_m ?? 0),
-    ...state.lines.map((each) => each.rangeM));
+  const highest = Math.ceil(Math.max(0.9, ...Object.values(state.readings).flat().map((each) => each.corrected_m ?? 0),
+    ...state.lines.map((each) => each.rangeM)) + 0.1);
+  byId("highest").textContent = highest;
   for (const row of byId("strips").children) {
     const name = row.dataset.strip;
     const canvas = row.querySelector("canvas");
     const on = plot(canvas, highest, colour);
     if (row.dataset.fused) {
       on.line(state.lines.map(({ timeS, rangeM }) => [timeS, rangeM]), colour.used);
-      row.querySelector(".more").textContent = presentDistance() ? metres(state.fused.range_m) : "no distance";
+      row.querySelector(".more").textContent = presentDistance() ? metres(state.fused.range_m) : "none";
       continue;
     }
     const readings = state.readings[name] ?? [];
@@ -48,8 +49,9 @@ export function drawStrips() {
     const last = newest(name);
     const fault = faultOf(name);
     row.classList.toggle("faulty", fault !== null || !last);
-    row.querySelector(".more").textContent = fault ?? (!last ? "no reading" :
-      [last.corrected_m !== undefined ? metres(last.corrected_m) : "", reasonOf(last)].filter(Boolean).join(", "));
+    const range = last?.corrected_m;
+    row.querySelector(".more").replaceChildren(range === undefined || fault ? "" : metres(range) + " ",
+      made("small", fault ?? (last ? reasonOf(last) : "no reading")));
   }
 }
 
@@ -62,25 +64,22 @@ function plot(canvas, highest, colour) {
   const pen = canvas.getContext("2d");
   pen.setTransform(ratio, 0, 0, ratio, 0, 0);
   pen.clearRect(0, 0, width, height);
-  pen.font = "10px system-ui, sans-serif";
-  const left = 34;
-  const x = (timeS) => left + (1 - (state.nowS - timeS) / SHOWN_S) * (width - left - 4);
-  const y = (rangeM) => 4 + (1 - rangeM / highest) * (height - 12);
+  pen.font = "14px system-ui, sans-serif";
+  const x = (timeS) => (1 - (state.nowS - timeS) / SHOWN_S) * (width - 4);
+  const y = (rangeM) => 3 + (1 - rangeM / highest) * (height - 8);
   pen.strokeStyle = colour.line;
-  pen.fillStyle = colour.soft;
-  for (const rangeM of [0, highest]) {
-    pen.beginPath();
-    pen.moveTo(left, y(rangeM));
-    pen.lineTo(width, y(rangeM));
-    pen.stroke();
-    pen.fillText(`${rangeM.toFixed(rangeM ? 1 : 0)} m`, 0, y(rangeM) + (rangeM ? 8 : 0));
+  pen.beginPath();
+  for (const agoS of [0, 10, 20, 30]) {
+    pen.moveTo(x(state.nowS - agoS), 0);
+    pen.lineTo(x(state.nowS - agoS), height);
   }
+  pen.stroke();
   let lastReason = "";
-  let lastX = -1e9;
+  let lastEnd = -1e9;
   return {
     line(points, stroke) {
       pen.strokeStyle = stroke;
-      pen.lineWidth = 1.5;
+      pen.lineWidth = 2;
       pen.beginPath();
       let before = -1e9;
       for (const [timeS, rangeM] of points) {
@@ -95,13 +94,18 @@ function plot(canvas, highest, colour) {
       const [px, py] = [x(reading.timeS), y(reading.corrected_m ?? 0)];
       pen.fillStyle = pen.strokeStyle = colours[kind];
       pen.lineWidth = 1.5;
-      if (kind === "nothing") pen.fillRect(px - 1.5, height - 7, 3, 5);
-      else if (kind === "used") { pen.beginPath(); pen.arc(px, py, 2, 0, 7); pen.fill(); }
-      else pen.strokeRect(px - 2.5, py - 2.5, 5, 5);
+      if (kind === "nothing") pen.fillRect(px - 1.5, height - 6, 3, 6);
+      else if (kind === "used") { pen.beginPath(); pen.arc(px, py, 2.5, 0, 7); pen.fill(); }
+      else pen.strokeRect(px - 3, py - 3, 6, 6);
       const reason = reasonOf(reading);
-      if (reason && (reason !== lastReason || px - lastX > 120) && px - lastX > 60) {
-        pen.fillText(reason, Math.min(px + 4, width - 6 * reason.length), kind === "nothing" ? height - 10 : Math.max(py - 4, 10));
-        [lastReason, lastX] = [reason, px];
+      const size = reason ? pen.measureText(reason).width : 0;
+      const textX = Math.min(px + 5, width - size);
+      if (reason && textX > lastEnd + (reason === lastReason ? 40 : 4)) {
+        const textY = kind === "nothing" ? height - 9 : Math.max(py - 5, 12);
+        [pen.strokeStyle, pen.lineWidth] = [colours.card, 3];
+        pen.strokeText(reason, textX, textY);
+        pen.fillText(reason, textX, textY);
+        [lastReason, lastEnd] = [reason, textX + size];
       }
     },
   };

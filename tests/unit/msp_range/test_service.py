@@ -5,6 +5,7 @@ import json
 import os
 import signal
 import socket
+import subprocess
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -20,6 +21,8 @@ from msp_range.log import Log
 from msp_range.replay import Nowhere
 from msp_range.service import serve, stop_signals, transfers_watched
 from tests.support.bench import Bench, airframe
+from tests.support.service import COMMAND
+from tests.support.waiting import LIMIT_S
 
 
 def test_completed_turns_of_the_loop_feed_the_watchdog(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -54,6 +57,19 @@ def test_completed_turns_of_the_loop_feed_the_watchdog(tmp_path: Path, monkeypat
     assert set(messages[1:-1]) == {"WATCHDOG=1"}
     # Five times a second, a little less where a transfer is due at that moment, and only for as long as it works.
     assert 10 <= len(messages[1:-1]) <= 13
+
+
+def test_why_it_cannot_start_is_a_status_of_systemd(tmp_path: Path) -> None:
+    path = tmp_path / "airframe.yaml"
+    path.write_text("vehicle: a\ncolour: red\n")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(tmp_path / "notify"))
+        environment = {**os.environ, "NOTIFY_SOCKET": str(tmp_path / "notify")}
+        done = subprocess.run([COMMAND, "run", path], env=environment, capture_output=True, text=True, timeout=LIMIT_S)
+        assert done.returncode == 3
+        systemd.settimeout(LIMIT_S)
+        assert systemd.recv(4096).decode() == f"STATUS={' '.join(done.stderr.split())}"
+    assert "colour" in done.stderr
 
 
 @pytest.mark.parametrize(
