@@ -92,6 +92,7 @@ INSTEAD = {
 
 ELSEWHERE = {
     "make check": ".ci/run",
+    "make lock": "tests/release/test_lock.py",
     "make test-install": "evaluation/install/command.py",
     "sudo ./install.sh": "evaluation/install/command.py",
     "msp-lab design gaps/june --bench --max-minutes 90": "tests/loop/test_design.py",
