@@ -93,6 +93,8 @@ INSTEAD = {
 ELSEWHERE = {
     "make check": ".ci/run",
     "make lock": "tests/release/test_lock.py",
+    "make stored": "tests/release/test_stored.py",
+    "make release": "tests/release/test_twice.py",
     "make test-install": "evaluation/install/command.py",
     "sudo ./install.sh": "evaluation/install/command.py",
     "msp-lab design gaps/june --bench --max-minutes 90": "tests/loop/test_design.py",
