@@ -5,6 +5,9 @@
 # make check  what CI runs: format, lint, types, layers, then all tests
 # make docs   build the site of the documents into build/site/html; a broken link or a missing page fails
 # make test-install  install on a Debian with a real systemd, break, upgrade and remove it (as root; 5 minutes)
+# make lock   renew requirements.lock, the versions and hashes of what install.sh and a release install
+# make release  sdist, wheel, Debian packages, container images and list of packages, into build/release (as root)
+# make stored  keep files of this version for later versions' tests, in tests/stored
 # make bench  run all benchmarks, and write the table in docs/figures.md; ONLY='start page' runs these and writes nothing
 # make fuzz   feed damaged files and link bytes to every reader, SECONDS=600 per area by SEED=1; failures are kept in build/fuzz
 # make gap-demo  hide five effects in simulated flights and find them
@@ -16,7 +19,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo venv gap-demo docs test test-all test-install lint check bench fuzz blind second others faults soak mavproxy compile clean
+.PHONY: demo venv gap-demo docs test test-all test-install lint check lock release stored bench fuzz blind second others faults soak mavproxy compile clean
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
 .PHONY: help
@@ -54,6 +57,18 @@ lint: .venv/.installed-test
 
 check: lint
 	$(MAKE) test-all
+
+# What the service needs, and what its package is built with; the newest versions that go together.
+lock: .venv/.installed-test
+	echo 'setuptools>=77' | PATH="$$PATH:$(BIN)" uv pip compile pyproject.toml - --extra web --universal --python-version 3.11 \
+		--only-binary :all: --no-emit-package colorama --generate-hashes --upgrade --quiet --no-annotate \
+		--custom-compile-command 'make lock' --output-file requirements.lock
+
+release: .venv/.installed-test
+	$(BIN)/python -m release
+
+stored: .venv/.installed-test
+	$(BIN)/python -m release.stored
 
 bench: .venv/.installed-test compile
 	$(BIN)/python -m evaluation bench $(ONLY)

@@ -128,13 +128,14 @@ install_programs() {
     run mkdir -p "$OPT" "$ETC"
     [ "$DRY_RUN" ] && { say "would run: python3 -m venv, pip install $SOURCE"; return; }
     trap 'rm -rf "$NEW" "${COPY:-}"' EXIT
-    local extras='[web]'
-    [ -z "$NO_WEB" ] || extras=''
     # A copy: the build leaves no files of root's in the clone, and finds none of an earlier one there.
     COPY=$(mktemp -d)
     (cd "$SOURCE" && cp -a pyproject.toml README.md LICENSE bin configs msp_range sim "$COPY")
     python3 -m venv "$NEW"
-    "$NEW/bin/python" -m pip install --quiet --no-cache-dir --disable-pip-version-check --compile "$COPY$extras"
+    # Ready packages of the versions that were tested, checked by their hashes: as root, nothing else is downloaded.
+    local pip=("$NEW/bin/python" -m pip --quiet --disable-pip-version-check install --no-cache-dir --compile)
+    "${pip[@]}" --require-hashes --only-binary :all: -r "$SOURCE/requirements.lock"
+    "${pip[@]}" --no-deps --no-index --no-build-isolation "$COPY"
     local airframe=$ETC/airframe.yaml
     [ -e "$airframe" ] || { airframe=$COPY/etc/airframe.yaml; copy_configuration "$COPY/etc"; }
     "$NEW/bin/msp-range" check "$airframe" >/dev/null ||

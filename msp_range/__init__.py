@@ -5,7 +5,7 @@ For programs and notebooks: `load_airframe`, `ReadingModel` and `UserError`, imp
 
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+__version__ = "0.9.0"
 
 if TYPE_CHECKING:
     from msp_range.config import load_airframe

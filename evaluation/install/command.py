@@ -9,16 +9,16 @@ import re
 import shutil
 import socket
 import subprocess
-import sys
 import time
-import tomllib
+from itertools import product
 from pathlib import Path
-from tempfile import mkdtemp
+from tempfile import TemporaryDirectory, mkdtemp
 
 from pymavlink.dialects.v20 import common
 
 from evaluation import ROOT
 from evaluation.install.machine import Machine, make_debian, missing
+from release.wheels import MACHINES, PYTHONS, download
 
 READINGS_CM = (40, 40, 40, 40)
 MAX_INSTALLED_MB = 300
@@ -37,8 +37,6 @@ MAX_BRIDGE_MB, MAX_PAGE_MB = 170, 60
 """What bridge and page may hold in memory."""
 OPT_PYTHON = "/opt/msp-range/venv/bin/python"
 PAGE = "http://127.0.0.1:8642/"
-PYTHONS = ("3.11", "3.12", "3.13")
-"""Those of Debian 12, Ubuntu 24.04 and Debian 13."""
 
 
 def say(text: str) -> None:
@@ -258,18 +256,11 @@ def resident(machine: Machine, pid: str) -> int:
 
 
 def has_wheels() -> None:
-    """Every dependency as a ready package for a 64-bit Raspberry Pi: nothing is compiled there."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    dependencies = project["dependencies"] + project["optional-dependencies"]["web"]
-    platforms = [f"--platform=manylinux{each}_aarch64" for each in ("2014", "_2_17", "_2_28")]
-    for version in PYTHONS:
-        options = ["--dry-run", "--ignore-installed", "--only-binary=:all:", "--target=/nowhere", *platforms]
-        done = subprocess.run(
-            [sys.executable, "-m", "pip", "install", "-q", *options, f"--python-version={version}", *dependencies],
-            capture_output=True,
-            text=True,
-        )
-        expect(done.returncode == 0, f"aarch64 packages for Python {version} {done.stderr[-300:].strip()}".strip())
+    """Every package of the lock file as a wheel whose hash it has: nothing is compiled on the vehicle's computer."""
+    for python, machine in product(PYTHONS, MACHINES):
+        with TemporaryDirectory() as folder:
+            download(ROOT / "requirements.lock", python, machine, Path(folder))
+        expect(True, f"wheels for Python {python} on {machine}")
 
 
 def recordings(machine: Machine) -> list[str]:

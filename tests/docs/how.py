@@ -94,6 +94,9 @@ INSTEAD = {
 
 ELSEWHERE = {
     "make check": ".ci/run",
+    "make lock": "tests/release/test_lock.py",
+    "make stored": "tests/release/test_stored.py",
+    "make release": "tests/release/test_twice.py",
     "make test-install": "evaluation/install/command.py",
     "sudo ./install.sh": "evaluation/install/command.py",
     "sudo msp-range web on": "evaluation/install/command.py",
