@@ -36,7 +36,7 @@ def make_deb(tree: Path, wheel: Path, machine: str, out: Path) -> Path:
                 wheel: f"opt/msp-range/wheels/{wheel.name}",
                 tree / "requirements.lock": "opt/msp-range/requirements.lock",
                 tree / "LICENSE": "usr/share/doc/msp-range/copyright",
-                tree / "systemd/msp-range.service": "usr/lib/systemd/system/msp-range.service",
+                **{unit: f"usr/lib/systemd/system/{unit.name}" for unit in (tree / "systemd").glob("*.service")},
                 tree / "systemd/msp-range.rules": "usr/lib/udev/rules.d/70-msp-range.rules",
                 tree / "systemd/msp-range.modules": "usr/lib/modules-load.d/msp-range.conf",
             }
