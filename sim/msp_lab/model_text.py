@@ -12,7 +12,7 @@ _SECTIONS = (
     ("name", "maker", "driver", "medium", "minimum_cm", "maximum_cm"),
     ("resolution_cm",),
     ("calibration_temperature_c",),
-    ("oblique_reading",),
+    ("oblique_reading", "compensates_air"),
     ("timing", "frequency_hz"),
     ("breakaway",),
     ("predicted_breakaway",),
