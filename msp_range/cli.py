@@ -197,6 +197,12 @@ def commission(
     json_lines: Annotated[
         bool, Option("--json", help="print one JSON object at the end; instructions go to standard error")
     ] = False,
+    phone: Annotated[
+        bool, Option("--phone", help="ask on a phone instead: a page on the network for ten minutes, with a code")
+    ] = False,
+    listen: Annotated[
+        str, Option(metavar="[HOST:]PORT", help="where the phone's page is; with --phone")
+    ] = "0.0.0.0:8643",
 ) -> None:
     """Commission a vehicle step by step: wires, addresses, bench, parameters, a lift by hand, hover, review.
 
@@ -213,7 +219,17 @@ def commission(
     clock = SystemClock()
     operator = PersonAtTerminal(yes, tuple(height or ()), sys.stderr if json_lines else sys.stdout)
     session = Session(airframe_file, this_computer(), clock, operator, recording=recording, port=port)
-    raise Exit(do(session, step, sys.stdout, json_lines))
+    if not phone:
+        raise Exit(do(session, step, sys.stdout, json_lines))
+    if yes or height or json_lines:
+        raise ConfigError("--phone asks on the phone: it goes without --yes, --height and --json")
+    from msp_range.extras import require
+    from msp_range.watch.place import parse_listen
+
+    require("web", "msp-range commission --phone")
+    from msp_range.commission.phone import by_phone
+
+    raise Exit(by_phone(session, step, parse_listen(listen), sys.stdout))
 
 
 @app.command()

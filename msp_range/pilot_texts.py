@@ -202,7 +202,7 @@ class Text:
         remedy="its other sources of height differ from the distances: compare the height above the ground on its map, "
         "and see what is in the beams",
     )
-    NOT_FOLLOWED = REJECTED._replace(text="Range: autopilot is {off_m:.1f} m off{rejected}")
+    NOT_FOLLOWED = REJECTED._replace(text="Range: autopilot is {off_m:.1f} m off: rejected")
     # Received on the link in the last 10 s, what is about ids three times.
     SECOND_AUTOPILOT = Condition(
         "other autopilot",

@@ -4,7 +4,7 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from typing import Any, TextIO
+from typing import Any, Protocol
 
 from msp_range.commission import edit
 from msp_range.commission.outcome import Proposal, StepOutcome
@@ -17,7 +17,17 @@ from msp_range.terminal import wrapped
 from msp_range.yaml_file import ConfigError, place_of
 
 
-def commission(session: Session, step: str | None, out: TextIO, as_json: bool) -> int:
+class Output(Protocol):
+    """A terminal, or what stands for one."""
+
+    def write(self, text: str, /) -> object:
+        """Write whole lines."""
+
+    def flush(self) -> None:
+        """Show them now."""
+
+
+def commission(session: Session, step: str | None, out: Output, as_json: bool) -> int:
     """Do one step, or all that have not passed; 1 where one has not passed at the end, else 0.
 
     Parameters
@@ -92,6 +102,7 @@ def _correct(
     agreed = [proposal for proposal in outcome.proposals if session.operator.agrees(_asked(session, proposal))]
     if not agreed:
         return [], outcome
+    session.check_disarmed()
     edits = [one for proposal in agreed for one in proposal.edits]
     for name, text in {file: text for proposal in agreed for file, text in proposal.files}.items():
         edit.save(session.path.with_name(name), text)

@@ -2,7 +2,7 @@
 
 import sys
 import textwrap
-from typing import TextIO
+from typing import Protocol, TextIO
 
 from msp_range.doctor.command import INDENT
 from msp_range.input_file import printable
@@ -12,6 +12,37 @@ from msp_range.yaml_file import ConfigError
 LEAST_HEIGHT_M, MOST_HEIGHT_M = 0.1, 10.0
 """Heights over the floor that a sensor can measure and a person too [m]; another number is in another unit."""
 EXPECTED_HEIGHT = f"expected metres between {LEAST_HEIGHT_M:g} and {MOST_HEIGHT_M:g}, such as 0.85"
+
+
+class Operator(Protocol):
+    """Whoever moves the vehicle and decides."""
+
+    def begin(self, text: str) -> None:
+        """Explain a step, and wait until the person is ready."""
+
+    def instruct(self, text: str) -> None:
+        """Say what is to be done from now on."""
+
+    def agrees(self, text: str) -> bool:
+        """Ask with yes or no whether to make a change."""
+
+    def height_m(self, text: str) -> float | None:
+        """Ask for a measured height until it is one [m]; None: there is no further one."""
+
+
+def height_of(answer: str) -> float | None:
+    """A height that somebody typed [m]; None where it is none.
+
+    Examples
+    --------
+    >>> height_of("0,85"), height_of("85"), height_of("high")
+    (0.85, None, None)
+    """
+    try:
+        height_m = float(answer.strip().replace(",", "."))
+    except ValueError:
+        return None
+    return height_m if LEAST_HEIGHT_M <= height_m <= MOST_HEIGHT_M else None
 
 
 class PersonAtTerminal:
@@ -74,15 +105,12 @@ class PersonAtTerminal:
             return None
         self._show(text)
         while True:
-            answer = self._answer("Height in metres (Enter: no further one): ").strip().replace(",", ".")
+            answer = self._answer("Height in metres (Enter: no further one): ").strip()
             if not answer:
                 return None
-            try:
-                height_m = float(answer)
-            except ValueError:
-                height_m = 0.0
-            if LEAST_HEIGHT_M <= height_m <= MOST_HEIGHT_M:
-                return height_m
+            found_m = height_of(answer)
+            if found_m is not None:
+                return found_m
             self._show(f"found {answer!r}; {EXPECTED_HEIGHT}")
 
     def _answer(self, question: str) -> str:

@@ -15,7 +15,7 @@ from msp_range.bridge import Bridge
 from msp_range.bus import Bus
 from msp_range.bus.smbus import BusInUse, KernelBus
 from msp_range.clock import Clock
-from msp_range.commission.operator import PersonAtTerminal
+from msp_range.commission.operator import Operator
 from msp_range.config import Airframe, load_airframe
 from msp_range.doctor.autopilot import CONNECT_S, Tap, silence
 from msp_range.doctor.computer import Computer
@@ -177,8 +177,8 @@ class Session:
     computer: Computer
     clock: Clock
     """The computer whose files doctor looks at, and the clock."""
-    operator: PersonAtTerminal
-    """The person at the terminal."""
+    operator: Operator
+    """The person at the terminal or with the phone."""
     make_bus: Callable[[int | str], KernelBus] = KernelBus
     make_transport: Callable[[str, Clock], Transport] = open_transport
     """Open the bus and the transport that the airframe file names."""
@@ -193,16 +193,35 @@ class Session:
         """The airframe as its file is now."""
         return load_airframe(self.path)
 
+    def check_disarmed(self) -> None:
+        """Go on only if a heartbeat says now that the vehicle is disarmed.
+
+        Raises
+        ------
+        ConfigError
+            It is armed, or nobody knows.
+        """
+        # Also where the file names another autopilot than the one that is received, which is what may be corrected.
+        airframe = self.airframe()
+        link = airframe.link.model_copy(update={"system_id": None})
+        with self.live(airframe.model_copy(update={"link": link})):
+            pass
+
     @contextmanager
-    def live(self) -> Iterator[Live]:
+    def live(self, airframe: Airframe | None = None) -> Iterator[Live]:
         """The vehicle's sensors and autopilot: those of a bridge that runs already, or of one made for this.
+
+        Parameters
+        ----------
+        airframe
+            None: as its file is now.
 
         Raises
         ------
         ConfigError
             Another program uses the bus, or no autopilot is received.
         """
-        airframe = self.airframe()
+        airframe = airframe or self.airframe()
         bus = self.make_bus(airframe.bus)
         with ExitStack() as stack:
             try:

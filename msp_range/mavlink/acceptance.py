@@ -108,6 +108,9 @@ class AcceptanceWatch:
         kind = message.msgname
         if kind not in ACCEPTANCE_RATES[self._autopilot] or (kind == "DISTANCE_SENSOR" and message.orientation != DOWN):
             return
+        # Where EKF2 rejects distances its height comes and goes: the last one counts until it is old.
+        if kind == "ALTITUDE" and not math.isfinite(message.bottom_clearance):
+            return
         self._newest[kind] = now_s, message
         if kind == "ALTITUDE":
             self._on_height(now_s, message)
@@ -131,7 +134,7 @@ class AcceptanceWatch:
         own, status = newest.get("DISTANCE_SENSOR"), newest.get("SYS_STATUS")
         estimator = newest.get("ESTIMATOR_STATUS") or newest.get("EKF_STATUS_REPORT")
         received_m = None if own is None else own.current_distance / 100
-        height_m = _finite(newest["ALTITUDE"].bottom_clearance) if "ALTITUDE" in newest else None
+        height_m = newest["ALTITUDE"].bottom_clearance if "ALTITUDE" in newest else None
         ratio = None if estimator is None else _ratio(estimator)
         found = Acceptance("", Text.NOT_RECEIVED.when(False), received_m, height_m, None, ratio)
         if height_m is not None:
@@ -157,14 +160,16 @@ class AcceptanceWatch:
         return found._replace(text=f"{text}{healthy}; its estimator: {use}")
 
     def _followed(self, now_s: float, found: Acceptance, height_m: float) -> Acceptance:
-        """Whether the estimator's height is what was sent."""
+        """Whether the estimator's height is what was sent; if not, it rejects that.
+
+        Its ratio alone does not say so: EKF2 rejects by the vehicle's motion, too, with a ratio below 1.
+        """
         off_m, ratio = self._off_m, found.ratio
         text = f"is {height_m:.2f} m above the ground"
         text += "" if ratio is None else f", ratio {ratio:.2f}"
         if abs(off_m) > OFF_M:
-            rejected = ": rejected" if ratio is not None and ratio >= 1 else ""
-            problem = Text.NOT_FOLLOWED.when(True, off_m=abs(off_m), rejected=rejected)
-            return found._replace(text=f"{text}: {abs(off_m):.1f} m off{rejected}", problem=problem, off_m=off_m)
+            problem = Text.NOT_FOLLOWED.when(True, off_m=abs(off_m))
+            return found._replace(text=f"{text}: {abs(off_m):.1f} m off: rejected", problem=problem, off_m=off_m)
         if now_s - self._reset_s < RESET_SHOWN_S:
             text += f": terrain reset by {self._reset_m:+.1f} m"
         return found._replace(text=text, off_m=_finite(off_m))

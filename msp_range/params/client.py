@@ -27,8 +27,9 @@ ANSWER_S = 1.0
 """How long an answer is waited for [s]: over a wire it takes some 10 ms, over a radio some 300 ms. Longer only
 waits."""
 TRIES = 3
-HEARTBEAT_OLD_S = 3.0
-"""A heartbeat that is older does not show that the vehicle is disarmed now [s]: it comes once a second."""
+HEARTBEAT_OLD_S = 2.0
+"""A heartbeat that is older does not show that the vehicle is disarmed now [s]: it comes once a second, and a parameter
+is not written for two seconds after a lost one."""
 ADDRESS_IS_ID = 4 << 24 | 8 << 16
 """AUTOPILOT_VERSION's number of ArduPilot 4.8.0: major, minor, patch, kind of release (pull request 33982)."""
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
+from typing import TextIO
 
 import segno
 
@@ -14,6 +15,8 @@ from msp_range.watch.place import LOOPBACK
 from msp_range.yaml_file import ConfigError
 
 UNIT = Path("/etc/systemd/system/msp-range-web.service")
+PACKAGED = Path("/usr/lib/systemd/system") / UNIT.name
+"""Where install.sh and the Debian package have the page's unit."""
 DROP_IN = UNIT.with_name(f"{UNIT.name}.d") / "network.conf"
 TOKEN = Path("/var/lib/msp-range/web-token")
 AVAHI = Path("/run/avahi-daemon/socket")
@@ -39,7 +42,7 @@ def switch(on: bool) -> None:
     ConfigError
         There is no page, this user may not change it, or it does not start.
     """
-    if not UNIT.exists():
+    if not (UNIT.exists() or PACKAGED.exists()):
         raise ConfigError(f"{UNIT}: not there, so no page is installed; sudo ./install.sh installs it")
     try:
         if on:
@@ -75,11 +78,16 @@ def show() -> None:
     if not urls:
         print("This computer is in no network; in one: sudo msp-range web")
         return
-    if sys.stdout.isatty():
-        print("\x1b[97;40m", end="")  # white on black, in terminals with a light background too
-        segno.make(urls[0], error="l").terminal(compact=True)
-        print("\x1b[0m", end="")
+    show_code(urls[0], sys.stdout)
     print("Other devices in the same network reach the page:", *urls, PROTECTION, sep="\n")
+
+
+def show_code(url: str, out: TextIO) -> None:
+    """Write an address as a QR code, where ``out`` is a terminal."""
+    if out.isatty():
+        out.write("\x1b[97;40m")  # white on black, in terminals with a light background too
+        segno.make(url, error="l").terminal(out, compact=True)
+        out.write("\x1b[0m")
 
 
 def hosts() -> list[str]:

@@ -9,11 +9,12 @@ import signal
 import socket
 import sys
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from http import HTTPStatus
 from importlib.resources import files
 from pathlib import Path
+from typing import Protocol
 from urllib.parse import urlsplit
 
 from prometheus_client import CollectorRegistry, generate_latest
@@ -131,14 +132,11 @@ class Page:
             refused = HTTPStatus.BAD_REQUEST, "expected one address each in path, Host and Origin\n"
         if refused is not None:
             return connection.respond(*refused)
-        name = "page.html" if path == "/" else path.removeprefix("/")
         if path == "/live":
             return None
         if path == "/metrics":
             return _response("text/plain; version=0.0.4", generate_latest(self._registry))
-        if name not in self._files:
-            return connection.respond(HTTPStatus.NOT_FOUND, f"no page {path}\n")
-        return _response(f"{TYPES[Path(name).suffix]}; charset=utf-8", self._files[name])
+        return file_response(connection, path, self._files)
 
     async def _on_browser(self, browser: ServerConnection) -> None:
         """Send what is known, then let `_send` do the rest; do what it requests."""
@@ -203,6 +201,21 @@ class Page:
             batch, self._batch = _joined(self._batch), []
             ready = [browser for browser in self._browsers if browser.transport.get_write_buffer_size() < SLOW_BYTES]
             broadcast(ready, batch)
+
+
+class Responds(Protocol):
+    """A connection that can refuse a request."""
+
+    def respond(self, status: HTTPStatus, text: str) -> Response:
+        """The answer of this status."""
+
+
+def file_response(connection: Responds, path: str, pages: Mapping[str, bytes]) -> Response:
+    """A page's file by the path of the request; ``/`` is page.html."""
+    name = "page.html" if path == "/" else path.removeprefix("/")
+    if name not in pages:
+        return connection.respond(HTTPStatus.NOT_FOUND, f"no page {path}\n")
+    return _response(f"{TYPES[Path(name).suffix]}; charset=utf-8", pages[name])
 
 
 def _joined(packets: list[bytes]) -> str:

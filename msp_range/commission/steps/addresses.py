@@ -107,21 +107,23 @@ def compare(airframe: Airframe, answered: dict[str, str | None]) -> StepOutcome:
     if not others:
         return outcome
     address = {sensor.name: sensor.address for sensor in airframe.sensors}
+    shown = {sensor.name: sensor.shown_address for sensor in airframe.sensors}
     index = {sensor.name: i for i, sensor in enumerate(airframe.sensors)}
     for name, other in others.items():
-        text = f"the sensor at 0x{address[other]:02x} answered, which the file calls {other}"
+        text = f"the sensor at {shown[other]} answered, which the file calls {other}"
         outcome.unknown(f"cover {name}", text, "the change below gives each its own address")
     if set(others) != set(others.values()):
         text = "the addresses cannot be put right until every sensor is clear"
         outcome.wrong("cover", text, "cover them all once more")
         return outcome
-    listed = ", ".join(f"{name} 0x{address[name]:02x} -> 0x{address[other]:02x}" for name, other in others.items())
+    listed = ", ".join(f"{name} {shown[name]} -> {shown[other]}" for name, other in others.items())
     models = {airframe.sensors[index[name]].model for name in others}
     if len(models) > 1:
         text = f"sensors of different models are exchanged ({listed})"
         outcome.wrong("cover", text, "correct address and model of each by hand")
         return outcome
-    edits = [Edit(("sensors", index[name], "address"), Address(address[other])) for name, other in others.items()]
+    given = {name: Address(each) if isinstance(each, int) else each for name, each in address.items()}
+    edits = [Edit(("sensors", index[name], "address"), given[other]) for name, other in others.items()]
     outcome.propose(f"addresses are exchanged: {listed}", *edits)
 
     def again(changed: Airframe) -> StepOutcome:

@@ -81,9 +81,13 @@ def test_an_offset_of_two_metres_is_said_within_two_seconds_and_then_that_the_te
     assert "reset" not in flight.fly(10.0, 3.0, altitude(3.01, terrain_m=2.01), estimator(0.1)).text
 
 
-def test_a_height_that_is_off_and_is_not_rejected_is_not_called_so() -> None:
-    found = Flight("px4").fly(5.0, 3.0, altitude(5.0), estimator(math.nan))
-    assert (found.text, found.ratio) == ("is 5.00 m above the ground: 2.0 m off", None)
+def test_a_rejected_height_that_comes_and_goes_is_rejected_all_the_time_whatever_the_ratio() -> None:
+    """As PX4 1.17 does it: by the vehicle's motion, with a ratio of 0.6."""
+    flight = Flight("px4")
+    flight.fly(2.0, 3.0, altitude(5.0), estimator(0.6))
+    found = flight.fly(1.0, 3.0, altitude(math.nan), estimator(0.6))
+    assert found.text == "is 5.00 m above the ground, ratio 0.60: 2.0 m off: rejected"
+    assert "EKF2_RNG_CTRL" in flight.fly(3.0, 3.0, altitude(math.nan), distance(3.0)).text
 
 
 def test_a_climb_and_a_lean_are_no_offset() -> None:

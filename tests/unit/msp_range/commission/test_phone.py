@@ -1,0 +1,139 @@
+"""Who may answer on the phone's page, and for how long, by a client that is not a browser."""
+
+import json
+import socket
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
+from typing import Any
+
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin
+
+from msp_range.clock import VirtualClock
+from msp_range.commission.phone import MOST_TRIES, WINDOW_S, PersonAtPhone, PhonePage
+from msp_range.watch.place import Listen
+from msp_range.yaml_file import ConfigError
+from tests.support.transports import free_port
+from tests.support.waiting import LIMIT_S
+
+
+class Opened:
+    """A page, and its questions, which wait in a thread."""
+
+    def __init__(self) -> None:
+        self.clock = VirtualClock()
+        self.listen = Listen("127.0.0.1", free_port(socket.SOCK_STREAM))
+        self.page = PhonePage(self.listen, self.clock)
+        self.pool, self.stack = ThreadPoolExecutor(1), ExitStack()
+
+    def client(self, origin: str | None = None) -> ClientConnection:
+        """A connection that ends with the test."""
+        known = None if origin is None else Origin(origin)
+        return self.stack.enter_context(connect(f"ws://127.0.0.1:{self.listen.port}/live", origin=known))
+
+    def ask(self, *question: str) -> "Future[str]":
+        return self.pool.submit(self.page.ask, *question)
+
+
+@pytest.fixture
+def opened() -> Iterator[Opened]:
+    made = Opened()
+    with made.page, made.stack:
+        yield made
+        made.clock.sleep_until(WINDOW_S + 1.0)
+    made.pool.shutdown()
+
+
+def said(client: ClientConnection, kind: str) -> Any:
+    """The next message of a kind."""
+    while True:
+        message = json.loads(client.recv(LIMIT_S))
+        if message["kind"] == kind:
+            return message
+
+
+def let_in(opened: Opened) -> tuple[ClientConnection, str]:
+    client = opened.client()
+    client.send(json.dumps({"code": opened.page.code}))
+    return client, said(client, "open")["secret"]
+
+
+def test_the_code_counts_once_and_the_secret_lets_the_same_browser_come_again(opened: Opened) -> None:
+    answer = opened.ask("Ready?", "ready")
+    client, secret = let_in(opened)
+    again = opened.client()
+    again.send(json.dumps({"code": opened.page.code}))
+    assert "Another browser" in said(again, "refused")["text"]
+    later = opened.client()
+    later.send(json.dumps({"secret": secret}))
+    question = said(later, "question")
+    said(client, "question")
+    with pytest.raises(ConnectionClosed):
+        client.recv(LIMIT_S)
+    later.send(json.dumps({"number": question["number"], "answer": "ready"}))
+    assert answer.result(LIMIT_S) == "ready"
+
+
+def test_wrong_codes_close_the_page(opened: Opened) -> None:
+    answer = opened.ask("Ready?", "ready")
+    for left in reversed(range(MOST_TRIES)):
+        client = opened.client()
+        client.send(json.dumps({"code": "abc"}))
+        assert f"{left} tries" in said(client, "refused")["text"]
+    client = opened.client()
+    client.send(json.dumps({"code": opened.page.code}))
+    assert "closed" in said(client, "refused")["text"]
+    with pytest.raises(ConfigError, match="wrong codes"):
+        answer.result(LIMIT_S)
+
+
+def test_nothing_is_answered_once_the_time_is_over(opened: Opened) -> None:
+    answer = opened.ask("Change it?", "change it", "leave it")
+    client, secret = let_in(opened)
+    question = said(client, "question")
+    opened.clock.sleep_until(WINDOW_S + 1.0)
+    client.send(json.dumps({"number": question["number"], "answer": "change it"}))
+    with pytest.raises(ConfigError, match="ten minutes"):
+        answer.result(LIMIT_S)
+    late = opened.client()
+    late.send(json.dumps({"secret": secret}))
+    assert "closed" in said(late, "refused")["text"]
+
+
+def test_a_button_pressed_twice_answers_one_question(opened: Opened) -> None:
+    person = PersonAtPhone(opened.page)
+    first = opened.pool.submit(person.agrees, "first")
+    client, _ = let_in(opened)
+    number = said(client, "question")["number"]
+    for _ in range(2):
+        client.send(json.dumps({"number": number, "answer": "change it"}))
+    assert first.result(LIMIT_S)
+    second = opened.pool.submit(person.agrees, "second")
+    client.send(json.dumps({"number": said(client, "question")["number"], "answer": "leave it"}))
+    assert not second.result(LIMIT_S)
+
+
+def test_a_height_is_asked_for_until_it_is_one(opened: Opened) -> None:
+    answer = opened.pool.submit(PersonAtPhone(opened.page).height_m, "How high is it?")
+    client, _ = let_in(opened)
+    for typed in ("85", "0,85"):
+        question = said(client, "question")
+        client.send(json.dumps({"number": question["number"], "answer": typed}))
+    assert "found '85'; expected metres" in question["text"]
+    assert answer.result(LIMIT_S) == 0.85
+
+
+def test_a_page_of_another_site_and_rubbish_are_refused(opened: Opened) -> None:
+    with pytest.raises(InvalidStatus):
+        opened.client(origin="http://example.org")
+    for rubbish in ("", "[]", "7", '{"code": 7}', b"\xff"):
+        opened.client().send(rubbish)
+    client, _ = let_in(opened)
+    answer = opened.ask("Ready?", "ready")
+    number = said(client, "question")["number"]
+    client.send(json.dumps({"number": number, "answer": "no such answer"}))
+    client.send(json.dumps({"number": number, "answer": "ready"}))
+    assert answer.result(LIMIT_S) == "ready"
