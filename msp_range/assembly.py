@@ -236,7 +236,7 @@ def wanted_of(airframe: Airframe) -> dict[str, float]:
     autopilot, sources = airframe.link.autopilot, airframe.temperature.sources
     wanted = {source.message: TEMPERATURE_REQUEST_HZ for source in sources if isinstance(source, MavlinkSource)}
     wanted |= WITNESSES[autopilot] if airframe.send.fused is not None else {}
-    return wanted | (ACCEPTANCE_RATES[autopilot] if acceptance_of(airframe) is not None else {})
+    return wanted | ACCEPTANCE_RATES[autopilot]
 
 
 def _stream_type(sensors: Sequence[SensorSettings]) -> int:

@@ -31,7 +31,6 @@ from msp_range.reload import FlownAirframe
 from msp_range.systemd import notify_systemd
 from msp_range.watch.feed import FeedError
 from msp_range.watch.place import Outputs
-from msp_range.watch.view import FROM_AUTOPILOT
 from msp_range.watch.watch import Watch
 
 if TYPE_CHECKING:
@@ -265,7 +264,6 @@ def _fly(
         transport,
         report=lambda severity, text: log.write(severity.name.lower(), text),
         on_message=lambda now_s, message: None if watch is None else watch.on_message(now_s, message),
-        wanted=FROM_AUTOPILOT,
         thermometer=thermometer,
         signing=signing_of(airframe.link.signing_key, clock),
     )

@@ -174,7 +174,7 @@ def is_reached_by_a_phone(machine: Machine, receiver: Receiver) -> None:
     expect(is_served(machine, url), "the address that it prints has the page")
     expect(not is_served(machine, url.partition("?")[0]), "and without its token nobody gets in")
     refused = machine.run("runuser -u nobody -- msp-range web", check=False)
-    expect(refused.returncode == 3, f"another user is not told it: {refused.stderr.strip()!r}")
+    expect(refused.returncode == 3, f"another user does not get it: {refused.stderr.strip()!r}")
     machine.run("msp-range web off")
     expect(not is_served(machine, url) and is_served(machine), "off: this computer only")
     expect(machine.show("MainPID") == pid, "the bridge was not restarted")

@@ -17,8 +17,6 @@ from msp_range.watch.facts import status_facts
 
 BEAM_RANGES_M = (0.2, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.5, 8.0)
 """Ranges at which the width of a beam is given; between them it is drawn linearly [m]."""
-FROM_AUTOPILOT = {"DISTANCE_SENSOR": 2.0, "SYS_STATUS": 1.0}
-"""Messages that a service asks for, to show watchers what the autopilot received, and their rates [Hz]."""
 
 
 def airframe_message(airframe: Airframe) -> dict[str, Any]:

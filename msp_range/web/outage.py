@@ -49,7 +49,7 @@ def _fault(unit: Unit) -> dict[str, Any]:
     if state in ("inactive", "deactivating"):
         text, remedy = f"{name} is stopped", f"sudo systemctl start {name}"
     elif state == "failed" and reason:
-        text, remedy = reason, f"mend this, then: sudo systemctl restart {name}"
+        text, remedy = reason, f"repair this, then: sudo systemctl restart {name}"
     elif state:
         text = f"{name} is {state}, exit code {unit['ExecMainStatus']}"
         remedy = f"journalctl -u {name} -n 20 says why"

@@ -29,7 +29,7 @@ from msp_sim.device.device import Fault
 from msp_sim.device.maxsonar import EmulatedMaxSonarCm
 from msp_sim.device.pty_port import PtyPort
 from msp_sim.device.table import EMULATED
-from tests.support.bench import Bench, Wire, airframe, sensor
+from tests.support.bench import Bench, Wire, airframe, assert_reported, sensor
 
 PORT = "serial:/dev/ttyUSB0:9600"
 FROM_S, TO_S, END_S = 5.0, 8.0, 12.0
@@ -226,9 +226,7 @@ def test_a_fault_is_silence_and_is_reported(kind: str, reason: str, text: str) -
     flown = bench(Fault(kind, FROM_S, TO_S)).fly(END_S)
     assert set(flown.distances_cm(1)) == {300}
     assert flown.distances_cm(1, FROM_S + 0.2, TO_S) == []
-    assert flown.reported(FROM_S, TO_S)[0] == f"Range a: {text}"
-    assert "Range a: good again" in flown.reported(TO_S)
-    assert reason in flown.rejected("a")
+    assert_reported(flown, FROM_S, TO_S, text, reason)
 
 
 def test_power_that_comes_back_gives_distances_again() -> None:

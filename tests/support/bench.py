@@ -212,3 +212,10 @@ class Bench:
         for message in messages:
             self.wire.arriving += message.pack(self._autopilot)
             self._autopilot.seq = (self._autopilot.seq + 1) % 256
+
+
+def assert_reported(bench: Bench, from_s: float, to_s: float, text: str, reason: str) -> None:
+    """A fault of sensor a in this time was reported first of all, its readings were rejected, and its end was reported."""
+    assert bench.reported(from_s, to_s)[0] == f"Range a: {text}"
+    assert "Range a: good again" in bench.reported(to_s)
+    assert reason in bench.rejected("a")
