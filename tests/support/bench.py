@@ -215,7 +215,7 @@ class Bench:
 
 
 def assert_reported(bench: Bench, from_s: float, to_s: float, text: str, reason: str) -> None:
-    """A fault of sensor a in this time was reported first of all, its readings were rejected, and its end was reported."""
+    """A fault of sensor a was reported before anything else in this time, its readings rejected, its end reported."""
     assert bench.reported(from_s, to_s)[0] == f"Range a: {text}"
     assert "Range a: good again" in bench.reported(to_s)
     assert reason in bench.rejected("a")
