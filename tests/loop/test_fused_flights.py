@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from evaluation.benchmarks import bench_fusion
 from msp_range.clock import VirtualClock
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.flight_log import FlightResult, SensorTrack
@@ -166,3 +167,8 @@ def test_a_box_below_two_of_four_does_not_become_the_ground(seed: int) -> None:
     ]
     assert len(pairs) > 500
     assert sum(abs(reported - true) > 0.15 for reported, true in pairs) <= 0.005 * len(pairs)
+
+
+@pytest.mark.slow
+def test_after_a_drop_the_distance_is_soon_right_again() -> None:
+    assert all(each["met"] for each in bench_fusion.drops())
