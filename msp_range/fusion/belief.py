@@ -288,30 +288,9 @@ class Belief:
         since_s = self._time_s - self._windows.held_s
         voters = [mode for mode in self._modes if mode.seen_s >= since_s]
         counts = {surface: sum([mode.share for mode in voters if mode.sees is surface]) for surface in self.surfaces}
-        nothing, other, reference = 0.0, {}, self.reference
-        for surface, count in counts.items():
-            shared = max(count - 1, 0.0) * math.log(SHARED)
-            shared += (max(count - len(voters) / 2, 0.0) + (count > len(voters) - 0.5)) * math.log(MOST)
-            if surface is not reference:
-                shared += object_prior(surface.filter.height_m - reference.filter.height_m if reference else 9.0)
-            fault = self._as_fault(surface)
-            other[surface] = _log_sum(0.0, surface.evidence + _log_sum(shared, fault))
-            if surface is self.proven:
-                nothing = _log_sum(0.0, surface.evidence + fault) - other[surface]
-                nothing += surface.prior if surface.raw is None else 0.0
-        total = sum(other.values())
-        nothing += total
-        leader = self._leader(counts)
-        priors = {each: 0.0 if each is leader else each.prior for each in self.surfaces}
-        scores = {each: total - other[each] + priors[each] + each.evidence for each in self.surfaces}
-        for each, count in counts.items():
-            if not count and each is not self.proven:
-                scores[each] += UNSEEN
-        best = max(scores, key=lambda each: scores[each], default=None)
-        # A sensor that sees something else says nothing about whether the others see the ground.
-        no_others = None, best, self.proven
-        witnesses = [mode for mode in voters if mode.sees in no_others or mode.readings < 2 or mode.noise > 0.0]
-        self.noise = all_noise([mode.noise for mode in witnesses]) if witnesses else 0.0
+        scores, nothing = self._scores(counts, len(voters))
+        best = max(scores, key=scores.__getitem__, default=None)
+        self.noise = self._noise_of(voters, best)
         if best is None:
             self.ground, self.sure = None, 0.0
             if not any(mode.is_fixed for mode in self._modes):
@@ -327,21 +306,71 @@ class Belief:
             self.ground = self.proven
             others = [weights[each] for each in weights if counts[each] and each is not self.proven]
             self.sure = (weights[self.proven] + max(others, default=0.0)) / total * (1 - self.noise)
-        most_seen = max(counts, key=lambda each: counts[each])
-        seen, is_there = 2 * counts[most_seen], most_seen.evidence >= EVIDENCE_MOST
-        share, is_open = weights[most_seen] / total, self.sure < SURE
-        is_most = seen > len(voters) - 0.5 * is_open
+        most_seen = max(counts, key=counts.__getitem__)
+        self._update_doubt(most_seen, counts[most_seen], weights[most_seen] / total, len(voters))
+        if self.ground is not self.proven and self.sure > SURE:
+            in_order = [mode for mode in self._modes if mode.works or mode.read_s == float("-inf")]
+            if 2 * counts[best] > len({*in_order, *voters}):
+                self._prove(best)
+
+    def _scores(self, counts: Mapping[Surface, float], voters: int) -> tuple[dict[Surface, float], float]:
+        """Log probability of each surface as the ground, and that none is; up to a constant.
+
+        One that is not the ground is there as a fault or an object, or is not there. ``counts``: how many of the voters
+        see each.
+        """
+        faults = {surface: self._as_fault(surface) for surface in counts}
+        others = {
+            surface: _log_sum(
+                0.0, surface.evidence + _log_sum(self._as_object(surface, counts[surface], voters), fault)
+            )
+            for surface, fault in faults.items()
+        }
+        nothing = total = sum(others.values())
+        if (proven := self.proven) is not None:
+            # The ground so far has not become an object.
+            nothing += _log_sum(0.0, proven.evidence + faults[proven]) - others[proven]
+            nothing += proven.prior if proven.raw is None else 0.0
+        leader = self._leader(counts)
+        scores = {}
+        for surface, count in counts.items():
+            prior = 0.0 if surface is leader else surface.prior
+            unseen = 0.0 if count or surface is proven else UNSEEN
+            scores[surface] = total - others[surface] + prior + surface.evidence + unseen
+        return scores, nothing
+
+    def _as_object(self, surface: Surface, count: float, voters: int) -> float:
+        """Log prior that a surface is an object below ``count`` of the voters, or beyond an edge."""
+        shared = max(count - 1, 0.0) * math.log(SHARED)
+        shared += (max(count - voters / 2, 0.0) + (count > voters - 0.5)) * math.log(MOST)
+        if surface is self.reference:
+            return shared
+        return shared + object_prior(
+            surface.filter.height_m - self.reference.filter.height_m if self.reference is not None else 9.0
+        )
+
+    def _noise_of(self, voters: Sequence[SensorMode], best: Surface | None) -> float:
+        """The probability that the readings of all sensors are noise.
+
+        A sensor that sees something else than the ground says nothing about whether the others see the ground.
+        """
+        no_others = None, best, self.proven
+        witnesses = [mode for mode in voters if mode.sees in no_others or mode.readings < 2 or mode.noise > 0.0]
+        return all_noise([mode.noise for mode in witnesses]) if witnesses else 0.0
+
+    def _update_doubt(self, most_seen: Surface, count: float, share: float, voters: int) -> None:
+        """Why what most sensors see, ``count`` of the voters, may be no ground; ``share``: the probability that it is."""
+        seen, is_there = 2 * count, most_seen.evidence >= EVIDENCE_MOST
+        is_open = self.sure < SURE
+        is_most = seen > voters - 0.5 * is_open
         if is_there and is_most and share < SURE and most_seen.response.log_odds <= UNANSWERED:
             self.doubt = Text.NO_RESPONSE
-        elif is_there and seen > len(voters) and share < SURE < _were_it_level(share, most_seen):
+        elif is_there and seen > voters and share < SURE < _were_it_level(share, most_seen):
             self.doubt = Text.STEEP
-        elif is_there and seen > len(voters) and share < 0.5 and self._known and not (is_open and self.doubt):
+        elif is_there and seen > voters and share < 0.5 and self._known and not (is_open and self.doubt):
             self.doubt = Text.CHANGE
         elif not is_open:
             self.doubt = None
-        in_order = [mode for mode in self._modes if mode.works or mode.read_s == float("-inf")]
-        if self.ground is not self.proven and self.sure > SURE and 2 * counts[best] > len({*in_order, *voters}):
-            self._prove(best)
 
     def _as_fault(self, surface: Surface) -> float:
         """Log probability, over the ground's, that a surface is a fault of several sensors."""
