@@ -359,7 +359,7 @@ class Belief:
         return all_noise([mode.noise for mode in witnesses]) if witnesses else 0.0
 
     def _update_doubt(self, most_seen: Surface, count: float, share: float, voters: int) -> None:
-        """Why what most sensors see, ``count`` of the voters, may be no ground; ``share``: the probability that it is."""
+        """Why what most sensors see, ``count`` of the voters, may be no ground; ``share`` is its probability."""
         seen, is_there = 2 * count, most_seen.evidence >= EVIDENCE_MOST
         is_open = self.sure < SURE
         is_most = seen > voters - 0.5 * is_open
