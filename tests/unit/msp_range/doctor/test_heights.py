@@ -20,9 +20,10 @@ WAYPOINT, JUMP = 16, 177
 MISSION = [(SEA, WAYPOINT, 584.0), (HOME, WAYPOINT, 5.0), (TERRAIN, WAYPOINT, 20.0), (HOME, JUMP, 99.0)]
 
 
-def asked(values: dict[str, float], end_s: float = 4.0, **options: Any) -> dict[str, Finding]:
+def asked(values: dict[str, float], end_s: float = 4.0, expects: str = "", **options: Any) -> dict[str, Finding]:
     """What is found, by step."""
-    airframe = load_airframe("quad_pallet").changed(autopilot="px4" if options.get("px4") else "ardupilot")
+    expects = expects or ("px4" if options.get("px4") else "ardupilot")
+    airframe = load_airframe("quad_pallet").changed(autopilot=expects)
     clock = SystemClock()
     with by_udp(lambda url: ParameterAutopilot(url, values, **options)) as url:
         transport = open_transport(url, clock)
@@ -75,6 +76,11 @@ def test_px4(reference: float, verdict: str) -> None:
     above = "RTL_RETURN_ALT 60 m, RTL_DESCEND_ALT 30 m, mission item 0 12 m: above"
     assert found["heights"].text.startswith(above)
     assert found["mission"].text == "waypoints above sea level are not compared: 1"
+
+
+def test_of_an_autopilot_of_another_kind_nothing_else_is_asked() -> None:
+    found = asked(PX4, expects="ardupilot", px4=True)
+    assert [each.verdict for each in found.values()] == ["wrong"], found
 
 
 def test_what_there_is_no_time_for_is_not_called_wrong() -> None:

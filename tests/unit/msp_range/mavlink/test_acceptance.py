@@ -81,6 +81,13 @@ def test_an_offset_of_two_metres_is_said_within_two_seconds_and_then_that_the_te
     assert "reset" not in flight.fly(10.0, 3.0, altitude(3.01, terrain_m=2.01), estimator(0.1)).text
 
 
+def test_no_terrain_was_reset_where_the_distances_are_right_again_or_it_moved_while_they_were() -> None:
+    flight = Flight("px4")
+    flight.fly(2.0, 3.0, altitude(5.0, terrain_m=0.0))
+    assert "reset" not in flight.fly(2.0, 5.0, altitude(5.0, terrain_m=0.0)).text
+    assert "reset" not in flight.fly(2.0, 5.0, altitude(5.0, terrain_m=3.0)).text
+
+
 def test_a_rejected_height_that_comes_and_goes_is_rejected_all_the_time_whatever_the_ratio() -> None:
     """As PX4 1.17 does it: by the vehicle's motion, with a ratio of 0.6."""
     flight = Flight("px4")
