@@ -199,11 +199,12 @@ def test_data_without_information_are_refused(
 
 
 def test_one_range_gives_what_it_can_and_reports_what_it_cannot(tmp_path: Path) -> None:
-    write_csv(tmp_path / "a.csv", table(point(np.random.default_rng(5), 100, n=400, missed=0.05)))
+    write_csv(tmp_path / "a.csv", table(point(np.random.default_rng(5), 100, n=400, missed=0.05, battery_v=12.1)))
     out = tmp_path / "a folder that" / "is not there" / "m.yaml"
     result = run(tmp_path / "a.csv", "--out", out, "--sensor", SENSOR)
     assert "one range only" in result.output
     assert "no air_temperature_c" in result.output
+    assert "no analysis here uses the table's own columns battery_v;" in result.output
     model, started = load_sensor_model(out), load_sensor_model(SENSOR)
     assert model.calibration == ()
     # Nothing read short, so how such readings fall off is still as it was.

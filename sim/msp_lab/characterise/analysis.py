@@ -32,9 +32,11 @@ from msp_lab.readings.intake import LoadedReadings, SourceFile, sensors_in
 from msp_lab.readings.resolution import measured_step, step_with
 from msp_range.correction.calibration import Calibration, curve_through
 from msp_range.reading_model.sensor_model import MixtureParameters, SensorModel, load_sensor_model
+from msp_range.recording.columns import KNOWN_COLUMNS
 from msp_range.recording.error import RecordingError
 from msp_sim.acoustics.sonar import STEP_DEG
 from msp_sim.model.context_limits import span
+from msp_sim.model.derived import DERIVED, PREVIOUS
 from msp_sim.model.model import Model
 from msp_sim.page.text import counted, listed
 
@@ -285,6 +287,8 @@ def _warnings(
     for word in sorted({p.condition for p in points} - EXPERIMENTS.keys()):
         near = difflib.get_close_matches(word, EXPERIMENTS, n=1)
         yield f"no analysis uses the condition {word!r}" + (f"; is it {near[0]!r}?" if near else "")
+    if own := [name for name in loaded.data.columns if name not in (*KNOWN_COLUMNS, *DERIVED, PREVIOUS)]:
+        yield f"no analysis here uses the table's own columns {listed(own, SHOWN)}; msp-lab gap looks for their effects"
     unknown = len(loaded.data) - sum(p.reading_cm.size for p in points)
     if unknown:
         yield f"{unknown} rows without a true range are left out"
