@@ -216,14 +216,9 @@ class Fusion:
                 reading = Reading(reading.time_s, reading.sensor, Status.GARBLED, raw=reading.raw)
                 mode.works = False
         belief.weigh()
-        ground = belief.ground
-        stray, mode.stray = mode.stray, None
-        if stray is not None:
-            again = [each for each in self._modes.values() if each is not mode or reading.range_m is not None]
-            if not any(each.sees is stray for each in again):
-                self._update_fit(FIT_OUTLIER)
+        self._count_stray(mode, reading)
         if reading.range_m is not None:
-            rejected = self._against(ground, look, rejected)
+            rejected = self._against(belief.ground, look, rejected)
             is_known = mode.sees is not None and mode.sees.evidence > 0.0
             self._others = 0 if rejected is None else self._others + (rejected != OBJECT and not is_known)
         mode.last_raw = reading.raw
@@ -232,15 +227,28 @@ class Fusion:
         else:
             faces = mode.mounted.faces_ground(rotation[2])
             self._above.update(reading.sensor, reading.status is Status.NO_ECHO, mode.works, faces)
+        return self._outcome(reading, rejected, rotation, now_s)
+
+    def _outcome(self, reading: Reading, rejected: str | None, rotation: Matrix, now_s: float) -> Outcome:
+        """What is sent after a reading: the distance, 'above the maximum', or nothing."""
+        ground, time_s = self._belief.ground, self._time_s
         if ground is not None and self._may_be_sent(ground, now_s, rejected is None):
             fused = self._down_axis(ground.filter, rotation)
             known = Known(time_s, fused.range_m, fused.height_m, fused.climb_m_s, self._motion.mark(time_s))
             self._above.on_ground_seen(known)
-            belief.on_sent(known)
+            self._belief.on_sent(known)
             is_above = fused.range_m > self._above.maximum_m
             return Outcome(reading, None if is_above else fused, is_above, rejected)
         is_seen = ground is not None and self._is_seen(ground)
         return Outcome(reading, None, not is_seen and self._above.decide(time_s), rejected)
+
+    def _count_stray(self, mode: SensorMode, reading: Reading) -> None:
+        """Count the reading of this sensor before, if nobody has seen the same since, as an outlier."""
+        stray, mode.stray = mode.stray, None
+        if stray is not None:
+            again = [each for each in self._modes.values() if each is not mode or reading.range_m is not None]
+            if not any(each.sees is stray for each in again):
+                self._update_fit(FIT_OUTLIER)
 
     def _may_be_sent(self, ground: Surface, now_s: float, was_ground: bool) -> bool:
         """Whether the ground is sure, and a sensor has seen it just now."""
