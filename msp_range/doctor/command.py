@@ -21,7 +21,7 @@ INDENT = 9
 def lines_of(finding: Finding) -> list[str]:
     """A finding for a person, at most 80 columns wide."""
     lines = wrapped(f"{finding.verdict.value:<{INDENT}}", f"{finding.step}: {finding.text}")
-    if finding.remedy is not None and finding.verdict is not RIGHT:
+    if finding.remedy is not None:
         lines += wrapped(" " * INDENT + "-> ", finding.remedy)
     return lines
 

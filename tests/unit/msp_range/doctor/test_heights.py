@@ -8,6 +8,7 @@ from msp_range.clock import SystemClock
 from msp_range.config import load_airframe
 from msp_range.doctor.finding import Finding
 from msp_range.doctor.heights import check_before_flight
+from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.transport import open_transport
 from tests.support.far_ends import by_udp
 from tests.support.parameter_autopilot import RANGE_FINDER, ParameterAutopilot
@@ -20,7 +21,9 @@ WAYPOINT, JUMP = 16, 177
 MISSION = [(SEA, WAYPOINT, 584.0), (HOME, WAYPOINT, 5.0), (TERRAIN, WAYPOINT, 20.0), (HOME, JUMP, 99.0)]
 
 
-def asked(values: dict[str, float], end_s: float = 4.0, expects: str = "", **options: Any) -> dict[str, Finding]:
+def asked(
+    values: dict[str, float], end_s: float = 4.0, expects: Autopilot | None = None, **options: Any
+) -> dict[str, Finding]:
     """What is found, by step."""
     expects = expects or ("px4" if options.get("px4") else "ardupilot")
     airframe = load_airframe("quad_pallet").changed(autopilot=expects)
