@@ -1,7 +1,8 @@
 """The autopilot before a flight: its parameters, and the heights of return and mission against the range's maximum.
 
-A pilot expects that a return at 15 m is flown without a sensor that reaches 8 m: distances read 'above the maximum'
-there, and that is said. It is wrong only where the autopilot's own settings make it rely on the range at that height.
+A return at 15 m is normally flown without a sensor that reaches 8 m: distances read 'above the maximum' there. This is
+reported, and is wrong only where the autopilot's own settings make it rely on the range at that height. What was not
+read is not known.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,11 +29,15 @@ HEIGHTS = {
 """Parameters with heights above home, each with its older name (ArduCopter's and ArduPlane's Parameters.cpp, PX4's
 rtl_params.c and mission_params.c)."""
 IN_CENTIMETRES = ("RTL_ALT", "ALT_HOLD_RTL")
+RETURNS = ("RTL_ALT_M", "RTL_ALT", "RTL_ALTITUDE", "ALT_HOLD_RTL")
+"""ArduPilot's heights of return: where one is 0 or less, the vehicle returns at the height that it has."""
 SOURCES = {"px4": "EKF2_HGT_REF", "ardupilot": "EK3_SRC1_POSZ"}
-"""Parameter with the source of the height; with both the range is 2."""
+"""Parameter with the source of the height; in both, 2 selects the range finder."""
 TERRAIN = {"copter": (("RTL_ALT_TYPE",), ("WP_RFND_USE", "WPNAV_RFND_USE"))}
-"""Parameters by which a height above the terrain is one by range (ArduCopter's mode_rtl.cpp, AC_WPNav.cpp)."""
+"""Parameters by which a height above the terrain is one by range (ArduCopter's mode_rtl.cpp, AC_WPNav.cpp), each with
+its older name."""
 ABOVE_HOME = dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT, dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
+ABOVE_SEA = dialect.MAV_FRAME_GLOBAL, dialect.MAV_FRAME_GLOBAL_INT
 ABOVE_TERRAIN = dialect.MAV_FRAME_GLOBAL_TERRAIN_ALT, dialect.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT
 
 
@@ -64,7 +69,10 @@ def check_before_flight(airframe: Airframe, transport: Transport, clock: Clock, 
         return
     client.end_s = end_s
     if not client.connect(HEARTBEAT_S):
-        yield wrong("heartbeat", f"none came for {HEARTBEAT_S:g} s", f"msp-range doctor {airframe.path} says why")
+        if clock.now() >= end_s:
+            yield unknown("autopilot", "no time was left to wait for it", f"msp-range doctor {airframe.path}")
+            return
+        yield wrong("heartbeat", f"none came for {HEARTBEAT_S:g} s", f"msp-range doctor {airframe.path} shows why")
         return
     found = check_type(airframe, client)
     yield found
@@ -78,23 +86,28 @@ def check_before_flight(airframe: Airframe, transport: Transport, clock: Clock, 
     compared = check_parameters(airframe, client, firmware)
     late = unknown("parameters", "not compared in time", f"msp-range params {airframe.path} --compare")
     yield late if clock.now() >= end_s else compared
-    mission, heights = _mission(client, values)
+    mission, heights = _mission(client, values, clock.now() >= end_s)
     yield from mission
-    yield compare_heights([*_of_parameters(values), *heights], maximum_of(airframe))
+    unread = [group[0] for group in groups if not any(name in values for name in group)]
+    yield compare_heights([*_of_parameters(values), *heights], unread, maximum_of(airframe))
 
 
-def compare_heights(heights: Sequence[Height], maximum_m: float) -> Finding:
-    """Heights that the autopilot may fly at against the range's maximum [m]."""
+def compare_heights(heights: Sequence[Height], unread: Sequence[str], maximum_m: float) -> Finding:
+    """Heights that the autopilot may fly at against the range's maximum [m]; ``unread``: names without an answer."""
     above = [each for each in heights if each.height_m > maximum_m]
-    relied = [each for each in above if each.remedy is not None]
+    relied_on = [each for each in above if each.remedy is not None]
+    present = [each for each in heights if each.what in RETURNS and each.height_m <= 0]
+    compare = f"compare the heights of return and mission with {maximum_m:g} m in the ground station"
     return first_of(
         "heights",
-        (not heights, "none were read", f"compare those of return and mission with {maximum_m:g} m", UNKNOWN),
         (
-            relied,
-            f"{_listed(relied)}: above the range's maximum of {maximum_m:g} m, and the autopilot relies on it there",
-            f"lower, or {' and '.join(sorted({each.remedy or '' for each in relied}))}",
+            relied_on,
+            f"{_listed(relied_on)}: above the range's maximum of {maximum_m:g} m, and the autopilot relies on it there",
+            f"lower, or {' and '.join(sorted({each.remedy or '' for each in relied_on}))}",
         ),
+        (unread, f"the autopilot did not answer for {', '.join(unread)}", compare, UNKNOWN),
+        (not heights, "none were read", compare, UNKNOWN),
+        (present, f"with {_listed(present)} the vehicle returns at the height that it has then", compare, UNKNOWN),
         (
             above,
             f"{_listed(above)}: above {maximum_m:g} m distances read 'above the maximum', and the autopilot does not "
@@ -127,16 +140,22 @@ def _of_parameters(values: dict[str, float]) -> Iterator[Height]:
         yield Height(name, values[name] * (0.01 if name in IN_CENTIMETRES else 1.0), remedy)
 
 
-def _mission(client: ParameterClient, values: dict[str, float]) -> tuple[list[Finding], list[Height]]:
-    """What is not known of the mission, and the highest waypoints above home and above the terrain."""
+def _mission(client: ParameterClient, values: dict[str, float], is_late: bool) -> tuple[list[Finding], list[Height]]:
+    """What is not known of the mission, and the highest waypoints above home and above the terrain.
+
+    ``is_late``: no time is left to read it.
+    """
     waypoints, left = read_mission(client)
-    others = sum(each.frame not in ABOVE_HOME + ABOVE_TERRAIN for each in waypoints)
+    by_sea = sum(each.frame in ABOVE_SEA for each in waypoints)
+    others = sum(each.frame not in ABOVE_HOME + ABOVE_TERRAIN + ABOVE_SEA for each in waypoints)
+    unanswered = "not read: no time was left" if is_late else "not read: the autopilot does not answer for it"
     findings = [
         unknown("mission", text, "compare their heights with the range's maximum in the ground station")
         for is_so, text in (
-            (left is None, "not read: the autopilot does not answer for it"),
+            (left is None, unanswered),
             (left, f"{left} of its items were not read in time"),
-            (others, f"waypoints above sea level are not compared: {others}"),
+            (by_sea, f"waypoints above sea level are not compared: {by_sea}"),
+            (others, f"waypoints in frames of their own are not compared: {others}"),
         )
         if is_so
     ]

@@ -1,17 +1,27 @@
 """The mission of an autopilot, read by MAVLink's mission protocol (https://mavlink.io/en/services/mission.html)."""
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from msp_range.mavlink.dialect import dialect
-from msp_range.params.client import ParameterClient
+from msp_range.params.client import COMPONENT_ID, ParameterClient
+
+FLIES_TO = frozenset(
+    getattr(dialect, f"MAV_CMD_NAV_{name}")
+    for name in (
+        *("WAYPOINT", "SPLINE_WAYPOINT", "TAKEOFF", "VTOL_TAKEOFF", "LAND", "VTOL_LAND", "PAYLOAD_PLACE"),
+        *("LOITER_UNLIM", "LOITER_TURNS", "LOITER_TIME", "LOITER_TO_ALT", "CONTINUE_AND_CHANGE_ALT"),
+    )
+)
+"""Commands with a height that the vehicle flies to. Others, such as a return, have a frame and a height without a
+meaning."""
 
 
 class Waypoint(NamedTuple):
     """An item that the vehicle flies to."""
 
     number: int
-    """Its number, as ground stations show it."""
+    """Its number in the autopilot; QGroundControl shows PX4's one higher."""
     frame: int
     """What its height is counted from (MAV_FRAME)."""
     height_m: float
@@ -19,28 +29,37 @@ class Waypoint(NamedTuple):
 
 
 def read_mission(client: ParameterClient) -> tuple[list[Waypoint], int | None]:
-    """The waypoints, and how many items were not read until `ParameterClient.end_s`; None: the autopilot gave no
-    number.
+    """The waypoints, and the number of items that were not read until `ParameterClient.end_s`.
 
-    Nothing is changed there. ArduPilot's item 0 is home and no waypoint.
+    That number is None if the autopilot reported no count. The mission is only read. ArduPilot's item 0 is home and no
+    waypoint.
     """
-    messages, waypoints = client.messages, list[Waypoint]()
+    waypoints: list[Waypoint] = []
 
-    def has(number: int) -> bool:
-        return "MISSION_ITEM_INT" in messages and bool(messages["MISSION_ITEM_INT"].seq == number)
+    def answer(kind: str) -> Any:
+        """The newest message of this kind, if it is for this program and of the mission, not of a fence; else None."""
+        message = client.messages.get(kind)
+        is_own = message is not None and message.mission_type == 0 and message.target_component in (0, COMPONENT_ID)
+        return message if is_own else None
 
-    messages.pop("MISSION_COUNT", None)
-    client.ask([dialect.MAVLink_mission_request_list_message(*client.target)], lambda: "MISSION_COUNT" in messages)
-    if "MISSION_COUNT" not in messages:
+    def item(number: int) -> Any:
+        found = answer("MISSION_ITEM_INT")
+        return found if found is not None and found.seq == number else None
+
+    for kind in ("MISSION_COUNT", "MISSION_ITEM_INT"):
+        client.messages.pop(kind, None)
+    counted = partial(answer, "MISSION_COUNT")
+    client.ask([dialect.MAVLink_mission_request_list_message(*client.target)], counted)
+    if (count := counted()) is None:
         return [], None
-    count = messages["MISSION_COUNT"].count
-    for number in range(count):
-        messages.pop("MISSION_ITEM_INT", None)
-        client.ask([dialect.MAVLink_mission_request_int_message(*client.target, number)], partial(has, number))
-        if not has(number):
-            return waypoints, count - number
-        item = messages["MISSION_ITEM_INT"]
-        if item.command < dialect.MAV_CMD_NAV_LAST and (number or client.autopilot == "px4"):
-            waypoints.append(Waypoint(number, item.frame, item.z))
-    client.link.send(dialect.MAVLink_mission_ack_message(*client.target, dialect.MAV_MISSION_ACCEPTED))
-    return waypoints, 0
+    left = count.count
+    for number in range(count.count):
+        client.ask([dialect.MAVLink_mission_request_int_message(*client.target, number)], partial(item, number))
+        if (found := item(number)) is None:
+            break
+        left -= 1
+        if found.command in FLIES_TO and (number or client.autopilot == "px4"):
+            waypoints.append(Waypoint(number, found.frame, found.z))
+    result = dialect.MAV_MISSION_OPERATION_CANCELLED if left else dialect.MAV_MISSION_ACCEPTED
+    client.link.send(dialect.MAVLink_mission_ack_message(*client.target, result))
+    return waypoints, left

@@ -135,6 +135,10 @@ class ParameterAutopilot:
             number = self.version[0] << 24 | self.version[1] << 16
             self._connection.mav.autopilot_version_send(0, number, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
         elif kind == "MISSION_REQUEST_LIST" and self.mission is not None:
+            # A ground station reads the fence meanwhile.
+            for component, type_ in ((190, 0), (192, mavlink.MAV_MISSION_TYPE_FENCE)):
+                self._connection.mav.mission_count_send(message.get_srcSystem(), component, 99, type_)
+                time.sleep(0.05)
             self._connection.mav.mission_count_send(message.get_srcSystem(), 192, len(self.mission))
         elif kind == "MISSION_REQUEST_INT" and self.mission is not None:
             frame, command, height_m = self.mission[message.seq]

@@ -18,7 +18,9 @@ PX4 = {"EKF2_RNG_CTRL": 2.0, "EKF2_HGT_REF": 1.0, "EKF2_MIN_RNG": 0.2, "EKF2_RNG
 PX4 |= {"RTL_RETURN_ALT": 60.0, "RTL_DESCEND_ALT": 30.0, "MIS_TAKEOFF_ALT": 2.5}
 HOME, TERRAIN, SEA = 6, 11, 5
 WAYPOINT, JUMP = 16, 177
+RETURN, GLOBAL, LOCAL = 20, 0, 1
 MISSION = [(SEA, WAYPOINT, 584.0), (HOME, WAYPOINT, 5.0), (TERRAIN, WAYPOINT, 20.0), (HOME, JUMP, 99.0)]
+MISSION += [(GLOBAL, RETURN, 0.0)]
 
 
 def asked(
@@ -81,12 +83,32 @@ def test_px4(reference: float, verdict: str) -> None:
     assert found["mission"].text == "waypoints above sea level are not compared: 1"
 
 
+@pytest.mark.parametrize("name", ["RTL_ALT_M", "EK3_SRC1_POSZ", "WP_RFND_USE"])
+def test_without_an_answer_for_one_parameter_heights_are_unknown(name: str) -> None:
+    found = asked({other: value for other, value in COPTER.items() if other != name}, mission=[])["heights"]
+    assert (found.verdict, found.text) == ("unknown", f"the autopilot did not answer for {name}")
+    values = {other: value for other, value in COPTER.items() if other != name} | {"EK3_SRC1_POSZ": 2.0}
+    if name == "WP_RFND_USE":  # what is wrong is so whatever else is not known
+        assert asked(values, mission=[])["heights"].verdict == "wrong"
+
+
+def test_a_return_at_the_present_height_is_at_any_height() -> None:
+    found = asked(COPTER | {"RTL_ALT_M": 0.0}, mission=[])["heights"]
+    assert (found.verdict, found.text[:30]) == ("unknown", "with RTL_ALT_M 0 m the vehicle")
+
+
+def test_waypoints_in_frames_of_their_own_are_named() -> None:
+    found = asked(PX4, px4=True, mission=[(LOCAL, WAYPOINT, 3.0)])
+    assert found["mission"].text == "waypoints in frames of their own are not compared: 1"
+
+
 def test_of_an_autopilot_of_another_kind_nothing_else_is_asked() -> None:
     found = asked(PX4, expects="ardupilot", px4=True)
     assert [each.verdict for each in found.values()] == ["wrong"], found
 
 
 def test_what_there_is_no_time_for_is_not_called_wrong() -> None:
+    assert asked(COPTER, end_s=0.0)["autopilot"].verdict == "unknown"
     found = asked(COPTER, end_s=0.6, version=None, mission=[])
     assert {step: each.verdict for step, each in found.items() if each.verdict != "right"} == {
         "parameters": "unknown",
