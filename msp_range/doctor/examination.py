@@ -46,7 +46,7 @@ def check_running(connection: socket | None) -> Iterator[Finding]:
     with connection:
         newest = read_once(connection)
     if not newest.status:
-        yield unknown("running bridge", "it ended while it was asked", "msp-range doctor once more")
+        yield unknown("running bridge", "it does not answer, or ended while it was asked", "msp-range doctor once more")
         return
     yield from findings(newest)
 

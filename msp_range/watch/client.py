@@ -14,6 +14,9 @@ LONGEST_PACKET = 1 << 20
 
 ONCE_S = 1.0
 """Time for which packets are read to know the state once [s]: two turns of four sensors take as long."""
+SILENT_S = 2.0
+"""A bridge that sends nothing for so long does not answer, as one that was stopped by Ctrl-Z [s]: watchers get a status
+twice a second. A preflight has 5 s."""
 
 
 def connect(paths: Sequence[Path]) -> socket.socket | None:
@@ -35,8 +38,8 @@ def parsed(packet: bytes) -> Message:
 
 
 def packets(connection: socket.socket) -> Iterator[Message]:
-    """All packets until the bridge ends."""
-    with suppress(ConnectionResetError):  # it ended before it had read a mark
+    """All packets until the bridge ends, or sends nothing within the connection's timeout."""
+    with suppress(ConnectionResetError, TimeoutError):  # the first: it ended before it had read a mark
         while packet := connection.recv(LONGEST_PACKET):
             yield parsed(packet)
 
@@ -44,6 +47,7 @@ def packets(connection: socket.socket) -> Iterator[Message]:
 def read_once(connection: socket.socket) -> Newest:
     """The state when every sensor has had time for a reading, up to the status that follows."""
     newest = Newest()
+    connection.settimeout(SILENT_S)
     first_s: float | None = None
     for packet in packets(connection):
         newest.update(packet)

@@ -43,7 +43,7 @@ def show(socket: Path | None, once: bool, as_json: bool) -> int:
                 out.print(shown(newest))
             if newest.status:
                 return 0 if newest.state == BridgeState.ACTIVE else EXIT_NOT_ACTIVE
-            print("the bridge ended while it was asked", file=sys.stderr)
+            print("the bridge does not answer, or ended while it was asked", file=sys.stderr)
             return EXIT_NOT_RUNNING
         clock = SystemClock()
         next_s = clock.now()

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from msp_range.watch import client
 from msp_range.watch import feed as feed_module
 from msp_range.watch.client import LONGEST_PACKET, connect
 from msp_range.watch.feed import LONGEST_MARK, MOST_WATCHERS, Feed, FeedError
@@ -61,6 +62,12 @@ def test_a_watcher_gets_the_airframe_and_then_what_is_published(feed: Feed) -> N
         feed.publish("/range/a", 2.0, MESSAGE)
         assert received(watcher) == {"topic": "/airframe", "time_s": 0.0, "message": {"vehicle": "quad"}}
         assert received(watcher) == {"topic": "/range/a", "time_s": 2.0, "message": MESSAGE}
+
+
+def test_a_bridge_that_has_been_stopped_is_not_waited_for(feed: Feed, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(client, "SILENT_S", 0.1)
+    with watching(feed) as watcher:
+        assert client.read_once(watcher).status == {}
 
 
 def test_others_may_watch_where_the_folder_lets_them(feed: Feed) -> None:
