@@ -3,6 +3,8 @@
 Bus and serial port are not touched while a bridge runs; its state is read from its socket.
 """
 
+import json
+import math
 import os
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -28,9 +30,10 @@ from msp_range.plausible import doubts
 from msp_range.watch.client import connect, read_once
 from msp_range.watch.newest import Newest
 from msp_range.watch.place import sockets
+from msp_range.watch.view import airframe_message
 from msp_range.yaml_file import ConfigError
 
-STOP = "sudo systemctl stop msp-range, then again, looks at bus and port themselves"
+STOP = "stop it (sudo systemctl stop msp-range), then again: bus and port are examined themselves then"
 
 
 PREFLIGHT_S = 4.0
@@ -38,8 +41,8 @@ PREFLIGHT_S = 4.0
 long missions, and the autopilot's parameters where the link is slow."""
 
 
-def check_running(connection: socket | None) -> Iterator[Finding]:
-    """What the running bridge says of its sensors, its link and its recording."""
+def check_running(connection: socket | None, airframe: Airframe) -> Iterator[Finding]:
+    """The running bridge's report on its sensors, its link and its recording, and whether it flies this airframe."""
     if connection is None:
         yield unknown("running bridge", "it cannot be asked: no socket of it was found", STOP)
         return
@@ -48,6 +51,10 @@ def check_running(connection: socket | None) -> Iterator[Finding]:
     if not newest.status:
         yield unknown("running bridge", "it does not answer, or ended while it was asked", "msp-range doctor once more")
         return
+    # The link may be one of the command line.
+    if newest.airframe | {"link": ""} != json.loads(json.dumps(airframe_message(airframe) | {"link": ""})):
+        text = f"it flies another airframe, or another version of this one: {newest.airframe['vehicle']}"
+        yield wrong("running bridge", text, "name its file, or let it read this one: sudo systemctl restart msp-range")
     yield from findings(newest)
 
 
@@ -115,11 +122,13 @@ def examine(
     yield right("airframe file", f"{path}: {airframe.vehicle}")
     for doubt in doubts(airframe):
         yield unknown("airframe file", doubt, "correct it if that is so")
-    connection = connect(sockets()) if preflight else None
+    # Nothing but the I2C bus itself knows whether another program uses it.
+    connection = connect(sockets()) if preflight or not airframe.on_i2c else None
     if connection is not None:
-        yield from check_running(connection)
-        remedy = f"above {maximum_of(airframe):g} m distances read 'above the maximum': compare in the ground station"
-        yield unknown("heights", "those of return and mission were not read, as the bridge has the link", remedy)
+        yield from check_running(connection, airframe)
+        if preflight and (maximum_m := maximum_of(airframe)) < math.inf:
+            remedy = f"above {maximum_m:g} m distances read 'above the maximum': compare in the ground station"
+            yield unknown("heights", "those of return and mission were not read, as the bridge has the link", remedy)
     else:
         yield from _bus_and_link(airframe, computer, clock, make_bus, make_transport, end_s)
     yield from check_files(computer, airframe.temperature)
@@ -148,18 +157,17 @@ def _bus_and_link(
         if any(sensor.driver.stretches_clock for sensor in airframe.on_i2c):
             yield check_clock(computer, bus_path)
     if is_ready:
-        bus = make_bus(airframe.bus)
-        try:
-            if airframe.on_i2c:
-                bus.claim()
-        except BusInUse as error:
-            remedy = "sudo systemctl stop msp-range, then again"
-            yield unknown("I2C bus in use", f"{error}. Bus and port are left alone", remedy)
-            yield from check_running(connect(sockets()))
-            return
-        examined = (examine_sensors if end_s is None else glance_at_sensors)(airframe, bus, clock)
-        yield from examined.findings
-        bus.close()
+        with closing(make_bus(airframe.bus)) as bus:
+            try:
+                if airframe.on_i2c:
+                    bus.claim()
+            except BusInUse as error:
+                remedy = "sudo systemctl stop msp-range, then again"
+                yield unknown("I2C bus in use", f"{error}. Bus and port are left alone", remedy)
+                yield from check_running(connect(sockets()), airframe)
+                return
+            examined = (examine_sensors if end_s is None else glance_at_sensors)(airframe, bus, clock)
+            yield from examined.findings
     url = parse_url(airframe.link.url)
     if isinstance(url, SerialUrl) and not (yield from while_right(check_port(computer, url))):
         return

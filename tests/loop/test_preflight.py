@@ -60,11 +60,16 @@ def test_a_running_bridge_is_asked(tmp_path: Path) -> None:
     ):
         end.run_until(lambda: len(end.distances) > 10)
         code, lines = preflight(testbed, computer, path)
+        other = tmp_path / "other.yaml"
+        other.write_text(path.read_text().replace("vehicle: loopback", "vehicle: another"))
+        wrong_file, said_of_it = preflight(testbed, computer, other)
         end.autopilot = None
         end.run_until(lambda: end.of("HEARTBEAT")[-1].system_status == MAV_STATE_CRITICAL)
         without, said = preflight(testbed, computer, path)
     text = " ".join(" ".join(lines).split())
     assert (code, lines[0]) == (0, "GO"), text
     assert "heights: those of return and mission were not read, as the bridge has the link -> above 7.65 m" in text
+    assert (wrong_file, said_of_it[0]) == (1, "NO-GO    running bridge")
+    assert said_of_it[1].startswith("wrong    running bridge: it flies another airframe, or another version")
     assert (without, said[0]) == (1, "NO-GO    autopilot")
     assert said[1] == "wrong    autopilot: Range: no autopilot, nobody gets the distances"
