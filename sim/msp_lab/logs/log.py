@@ -4,9 +4,11 @@ Each format has a file of its own that makes a `VehicleLog`; everything after th
 are those of the names, times are seconds on the log's own clock.
 """
 
+import re
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, Self
 
@@ -338,6 +340,14 @@ class MessageColumns:
                 number = number[int(name)] if name.isdigit() else getattr(number, name)
             values.append(float(number))
 
+    def extend(self, time_s: Array, values: Column | Mapping[str, Column], place: Column, other_s: Array) -> None:
+        """Add messages by the arrays of their times and fields, (n,), which mean what they do in `add`."""
+        self._time_s.frombytes(np.asarray(time_s, dtype=float).tobytes())
+        self._other_s.frombytes(np.asarray(other_s, dtype=float).tobytes())
+        self._place.frombytes(np.asarray(place, dtype=np.int64).tobytes())
+        for name, kept in self.values.items():
+            kept.frombytes(np.asarray(values[name], dtype=float).tobytes())
+
     def __contains__(self, field: str) -> bool:
         return field in self.values
 
@@ -399,6 +409,22 @@ def make_continuous(senders: Iterable[MessageColumns]) -> tuple[ClockRun, ...]:
     for sender, time_s in zip(senders, times_s, strict=True):
         sender.restamp(time_s)
     return runs
+
+
+@cache
+def struct_layout(form: str, names: tuple[str, ...] = ()) -> np.dtype[Any]:
+    """A little-endian format of `struct` as a layout of numpy, whose fields have these names, or ``f0``, ``f1`` ...
+
+    Examples
+    --------
+    >>> struct_layout("<B2H16s", ("a", "b", "c"))
+    dtype([('a', 'u1'), ('b', '<u2', (2,)), ('c', 'S16')])
+    """
+    kinds: list[Any] = []
+    for count, letter in re.findall(r"(\d*)([a-zA-Z])", form):
+        kind = f"<{letter}" if letter != "s" else f"S{count or 1}"
+        kinds.append((kind, int(count)) if count and letter != "s" else kind)
+    return np.dtype(list(zip(names or [f"f{index}" for index in range(len(kinds))], kinds, strict=True)))
 
 
 def tilt_of_quaternion_deg(x: Array, y: Array) -> Array:
