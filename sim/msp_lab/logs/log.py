@@ -9,6 +9,7 @@ from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Self
 
@@ -284,6 +285,16 @@ def series(source: str, time_s: Array, values: Array) -> Series:
     return Series(source, time_s, np.asarray(values, dtype=float)[rows])
 
 
+@cache
+def number_at(path: str) -> Callable[[Any], Any]:
+    """What finds the number of a field of `MessageColumns` in a message."""
+    way, _, place = path.rpartition(".")
+    if not place.isdigit():
+        return attrgetter(path)
+    array_at = number_at(way)
+    return lambda message: array_at(message)[int(place)]
+
+
 class MessageColumns:
     """Numbers of one sender's messages by field, with the time of each, at once or collected while a log is read.
 
@@ -326,19 +337,13 @@ class MessageColumns:
         """Columns of these fields, for messages that are added one after the other."""
         return cls(source, {field: array("d") for field in fields})
 
-    def add(self, time_s: float, message: Any, place: int, other_s: float) -> None:
-        """Add a message, at a place in the log and a time of another clock.
-
-        One that has no such numbers raises AttributeError, IndexError, TypeError or ValueError.
-        """
+    def add(self, time_s: float, numbers: Iterable[float], place: int, other_s: float) -> None:
+        """Add a message's fields in their order, at a place in the log and a time of another clock."""
         self._time_s.append(time_s)
         self._other_s.append(other_s)
         self._place.append(place)
-        for path, values in self.values.items():
-            number = message
-            for name in path.split("."):
-                number = number[int(name)] if name.isdigit() else getattr(number, name)
-            values.append(float(number))
+        for values, number in zip(self.values.values(), numbers, strict=True):
+            values.append(number)
 
     def extend(self, time_s: Array, values: Column | Mapping[str, Column], place: Column, other_s: Array) -> None:
         """Add messages by the arrays of their times and fields, (n,), which mean what they do in `add`."""
