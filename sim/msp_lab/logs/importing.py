@@ -301,7 +301,9 @@ def _by_run(name: str, joined: Sequence[Joined]) -> dict[str, dict[str, Measured
         for word in dict.fromkeys(words.tolist()):
             own = Path(name).name
             run = name if word in ("", own) else f"{name}/{word.removeprefix(f'{own}/')}"
-            found.setdefault(run, {})[each.ranger.name] = each.data.select(words == word)
+            rows = words == word
+            # Most logs are one run, and copies of two million readings take 270 MB.
+            found.setdefault(run, {})[each.ranger.name] = each.data if rows.all() else each.data.select(rows)
     return found
 
 

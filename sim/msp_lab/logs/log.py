@@ -366,7 +366,7 @@ class MessageColumns:
     @property
     def stamps(self) -> Stamps:
         """The times of its messages."""
-        return Stamps(np.array(self._place), np.array(self._time_s), np.array(self._other_s))
+        return Stamps(np.asarray(self._place), np.asarray(self._time_s), np.asarray(self._other_s))
 
     def restamp(self, time_s: Array) -> None:
         """Give its messages other times [s]."""
@@ -380,7 +380,7 @@ class MessageColumns:
     def unsorted(self, field: str, values: Array) -> Series:
         """What follows from a field, in the order in which the messages were added."""
         source = f"{self.source}.{field}" if field else self.source
-        return Series(source, np.array(self._time_s) - self.before_s, values)
+        return Series(source, np.asarray(self._time_s) - self.before_s, values)
 
 
 class LoggedFlight(dict[str, MessageColumns]):
