@@ -60,7 +60,7 @@ def run(kind: str, seed: int, fleet: Fleet, folder: Path) -> Outcome:
             table = MeasuredData({name: column[rows] for name, column in vehicle.table.items()})
             name = f"{vehicle.name}/{session}"
             write_tables(dataset, name, {"down": table})
-            record_runs(dataset, [name], {"file": f"{name}.csv"})
+            record_runs(dataset, {name: {"file": f"{name}.csv"}})
     crash = characterise(bench, model) or command("msp-lab", "fleet", dataset, "--model", model, "--out", out)
     family = kind.partition(":")[0]
     if crash:

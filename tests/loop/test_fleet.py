@@ -47,7 +47,7 @@ def make_dataset(folder: Path, vehicles: int, late_ms: dict[int, float], reading
 def add_run(folder: Path, name: str, table: MeasuredData) -> None:
     """One more run of the sensor 'down', from a log in a folder of its vehicle."""
     write_tables(folder, name, {"down": table})
-    record_runs(folder, [name], {"file": f"logs/{name}.csv"})
+    record_runs(folder, {name: {"file": f"logs/{name}.csv"}})
 
 
 @pytest.mark.slow

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from shutil import copytree
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -51,6 +50,9 @@ def test_any_field_of_a_topic(tmp_path: Path) -> None:
     path = write_bag(tmp_path, "ros1")
     reference = open_log(path, LogRequest(field="/vrpn/drone/pose.pose.orientation.w")).references[-1]
     assert (reference.kind, reference.series.values[0]) == ("column", pytest.approx(np.cos(0.05)))
+    # One that is read anyway.
+    reference = open_log(path, LogRequest(field="/vrpn/drone/pose.pose.position.z")).references[-1]
+    assert reference.series.values[0] == height_m(0.0)
     with pytest.raises(RecordingError, match="orientation"):
         open_log(path, LogRequest(field="/vrpn/drone/pose.orientation.w"))
 
@@ -74,7 +76,7 @@ def test_messages_that_are_not_read_take_no_memory(tmp_path: Path) -> None:
 def test_a_range_nearer_than_the_minimum_is_no_answer() -> None:
     topic = ros._Topic("/sonar", "sensor_msgs/msg/Range", ("range", "min_range", "max_range"))
     for step, range_m in enumerate((0.1, -np.inf, 0.2, np.inf)):
-        topic.add(float(step), SimpleNamespace(range=range_m, min_range=0.2, max_range=7.0), step, np.nan)
+        topic.add(float(step), (range_m, 0.2, 7.0), step, np.nan)
     (ranger,) = ros._rangers([topic])
     np.testing.assert_array_equal(ranger.series.values, [np.nan, np.nan, 20.0, 700.0])
     assert ranger.too_near == 2
@@ -83,13 +85,7 @@ def test_a_range_nearer_than_the_minimum_is_no_answer() -> None:
 def test_an_altitude_counts_with_a_ground_station_and_to_centimetres() -> None:
     topic = ros._Topic("/fix", "sensor_msgs/msg/NavSatFix", ros._FIELDS["sensor_msgs/msg/NavSatFix"])
     for time_s, (status, std_m) in enumerate([(2, 0.02), (2, 0.5), (0, 0.02), (2, 0.0)]):
-        variances = [0.0] * 8 + [std_m**2]
-        topic.add(
-            time_s,
-            SimpleNamespace(altitude=584.0, status=SimpleNamespace(status=status), position_covariance=variances),
-            0,
-            np.nan,
-        )
+        topic.add(time_s, (584.0, status, std_m**2), 0, np.nan)
     (rtk,) = ros._references([topic])
     assert np.isfinite(rtk.series.values).tolist() == [True, False, False, False]
 

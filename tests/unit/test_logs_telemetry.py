@@ -5,8 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fastcrc.crc16 import mcrf4xx
 from pymavlink import mavutil
 
+from msp_lab.logs import telemetry_frames
 from msp_lab.logs.elsewhere import reference_of
 from msp_lab.logs.log import LogRequest
 from msp_lab.logs.opening import open_log
@@ -124,8 +126,9 @@ def test_any_field_of_a_message(tmp_path: Path) -> None:
     path = write_telemetry(tmp_path / "a.tlog", telemetry())
     reference = open_log(path, LogRequest(field="VFR_HUD.throttle")).references[-1]
     assert (reference.kind, reference.series.values[0]) == ("column", 42.0)
-    with pytest.raises(RecordingError, match=r"common messages have no VFR_HUD\.thrott"):
-        open_log(path, LogRequest(field="VFR_HUD.thrott"))
+    for wrong in ("VFR_HUD.thrott", "ODOMETRY.q", "STATUSTEXT.text"):
+        with pytest.raises(RecordingError, match=rf"common messages have no number {wrong}"):
+            open_log(path, LogRequest(field=wrong))
 
 
 def test_a_cut_and_damaged_log_gives_what_is_whole(tmp_path: Path) -> None:
@@ -137,6 +140,85 @@ def test_a_cut_and_damaged_log_gives_what_is_whole(tmp_path: Path) -> None:
     assert 580 <= len(log.rangers[0].series) < 600
     assert log.notes[1].endswith("bytes that belong to no message are left out.")
     assert 400 < int(log.notes[1].split()[0]) < 800
+
+
+@pytest.mark.parametrize("piece_bytes", [300, 1000, 4096])
+def test_a_log_is_the_same_in_pieces_of_any_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, piece_bytes: int
+) -> None:
+    path = write_telemetry(tmp_path / "a.tlog", with_gps())
+    content = bytearray(path.read_bytes())
+    content[30_000:30_500] = b"\x00\xfd\x05" * 166 + b"\xff\xff"
+    path.write_bytes(content[:-20])
+    whole = open_log(path)
+    monkeypatch.setattr(telemetry_frames, "_PIECE_BYTES", piece_bytes)
+    in_pieces = open_log(path)
+    assert in_pieces.notes == whole.notes
+    assert in_pieces.context.keys() == whole.context.keys()
+    pairs = [(whole.context[name], each) for name, each in in_pieces.context.items()]
+    pairs += [(one.series, other.series) for one, other in zip(whole.rangers, in_pieces.rangers, strict=True)]
+    pairs += [(one.series, other.series) for one, other in zip(whole.references, in_pieces.references, strict=True)]
+    for one, other in pairs:
+        np.testing.assert_array_equal(one.time_s, other.time_s)
+        np.testing.assert_array_equal(one.values, other.values)
+
+
+@pytest.mark.parametrize("form", ["version 1", "signed"])
+def test_frames_of_version_1_and_signed_ones(tmp_path: Path, form: str) -> None:
+    expected = open_log(write_telemetry(tmp_path / "a.tlog", telemetry()))
+    link = dialect.MAVLink(None, 1, 1)
+    link.signing.secret_key, link.signing.sign_outgoing = bytes(32), form == "signed"
+    path = tmp_path / "b.tlog"
+    with path.open("wb") as file:
+        for time_s, component, message in telemetry():
+            link.srcComponent = component
+            frame = message.pack(link, force_mavlink1=form == "version 1")
+            assert frame[0] == (0xFE if form == "version 1" else 0xFD)
+            file.write((START_US + round(1e6 * time_s)).to_bytes(8, "big") + frame)
+    found = open_log(path)
+    np.testing.assert_array_equal(found.rangers[0].series.values, expected.rangers[0].series.values)
+    np.testing.assert_array_equal(found.rangers[0].series.time_s, expected.rangers[0].series.time_s)
+    np.testing.assert_array_equal(found.context["tilt_deg"].values, expected.context["tilt_deg"].values)
+
+
+@pytest.mark.parametrize("wrong", ["flag", "field", "checksum"])
+def test_a_frame_with_an_unknown_flag_or_a_wrong_checksum_is_not_read(tmp_path: Path, wrong: str) -> None:
+    path = write_telemetry(tmp_path / "a.tlog", telemetry())
+    expected = open_log(path).context["tilt_deg"].values
+    message = dialect.MAVLink_attitude_message(50, 1.1, -0.2, 1.0, 0.0, 0.0, 0.0)
+    frame = bytearray(message.pack(dialect.MAVLink(None, 1, 1)))
+    frame[{"flag": 2, "field": 20, "checksum": -1}[wrong]] ^= 2
+    if wrong == "flag":
+        frame[-2:] = mcrf4xx(bytes(frame[1:-2]) + bytes((message.crc_extra,))).to_bytes(2, "little")
+    path.write_bytes(START_US.to_bytes(8, "big") + frame + path.read_bytes())
+    np.testing.assert_array_equal(open_log(path).context["tilt_deg"].values, expected)
+
+
+def test_nothing_is_read_after_more_than_a_megabyte_of_no_frames(tmp_path: Path) -> None:
+    path = write_telemetry(tmp_path / "a.tlog", telemetry())
+    content = path.read_bytes() * 40
+    few, many = bytes(700_000), bytes(2_500_000)
+    path.write_bytes(4 * (content + few))
+    assert len(open_log(path).rangers[0].series) == 4 * 40 * 600
+    path.write_bytes(content + many + path.read_bytes()[:100_000])
+    assert len(open_log(path).rangers[0].series) == 40 * 600
+
+
+def test_a_frame_inside_a_damaged_one_is_not_read(tmp_path: Path) -> None:
+    """It has no time of its own, and may be of a message that nothing is made of."""
+    link = dialect.MAVLink(None, 1, 1)
+    whole = dialect.MAVLink_attitude_message(50, 0.1, -0.2, 1.0, 0.0, 0.0, 0.0).pack(link)
+    inside = dialect.MAVLink_manual_control_message(1, 2, 3, 4, 5, 6).pack(link)
+    damaged = bytearray(whole)
+    damaged[1] = 200
+    damaged[10:] = inside.ljust(202, b"\0")
+    stamp = START_US.to_bytes(8, "big")
+    path = write_telemetry(tmp_path / "a.tlog", telemetry())
+    expected = open_log(path)
+    path.write_bytes(stamp + bytes(damaged) + path.read_bytes())
+    found = open_log(path)
+    assert found.notes == expected.notes
+    np.testing.assert_array_equal(found.context["tilt_deg"].values, expected.context["tilt_deg"].values)
 
 
 @pytest.mark.parametrize(

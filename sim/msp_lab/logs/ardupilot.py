@@ -39,6 +39,7 @@ from msp_lab.logs.log import (
     make_log,
     make_ranger,
     rounded_cm,
+    struct_layout,
     truth_source,
 )
 from msp_range.arrays import Column
@@ -312,21 +313,14 @@ def _formats(piece: bytes, places: Sequence[int]) -> dict[int, Any]:
         if not set(form) <= FORMAT_TO_STRUCT.keys():
             continue
         made = DFFormat(kind, name, length, form, fields)
-        if 3 + _layout(made).itemsize <= length and len(made.columns) == len(made.msg_mults):
+        if 3 + struct_layout(made.msg_struct).itemsize <= length and len(made.columns) == len(made.msg_mults):
             found[kind] = made
     return found
 
 
-def _layout(form: Any) -> np.dtype[Any]:
-    """A message's fields as numpy has them; pymavlink writes them in the letters of `struct`, which are numpy's."""
-    letters = re.findall(r"\d*[a-zA-Z]", form.msg_struct[1:])
-    types = [f"S{letter[:-1]}" if letter.endswith("s") else f"<{letter}" for letter in letters]
-    return np.dtype([(f"f{index}", kind) for index, kind in enumerate(types)])
-
-
 def _values(piece: bytes, places: Sequence[int], form: Any, fields: Sequence[str]) -> Iterator[tuple[str, Column]]:
     """Some fields of all messages of one type in a piece."""
-    layout = _layout(form)
+    layout = struct_layout(form.msg_struct)
     at = np.array(places, dtype=np.int64)
     content = np.frombuffer(piece, dtype=np.uint8)
     rows = content[at[:, None] + np.arange(3, 3 + layout.itemsize)].view(layout).reshape(-1)

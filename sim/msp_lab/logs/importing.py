@@ -213,8 +213,7 @@ def import_logs(paths: Sequence[Path], common: Import, where: Workers) -> tuple[
         if outcome.value is None:
             failed[paths[outcome.index]] = outcome.error or ""
             continue
-        for each in outcome.value:
-            record_runs(common.out, each.runs, asdict(each))
+        record_runs(common.out, {run: asdict(each) for each in outcome.value for run in each.runs})
         found += outcome.value
     return found, failed
 
@@ -244,13 +243,14 @@ def import_log(common: Import, named: NamedLog) -> list[Imported]:
     if truth.kind not in ("", RECORDED):
         # What is asked for takes the place of what the file has.
         log = replace(log, rangers=tuple(_without_truth(ranger) for ranger in log.rangers))
+    digest = sha256(path)
     found: list[Imported] = []
     failed: list[str] = []
     for number, part in enumerate(log.runs(), start=1):
         run = named.run if number == 1 else f"{named.run}/{number}"
         try:
             if part.rangers:
-                found.append(_import_run(common, part, run))
+                found.append(_import_run(common, part, run, digest))
         except RecordingError as error:
             failed.append(f"{run}: {error}" if log.clock else str(error))
     if not found:
@@ -258,8 +258,8 @@ def import_log(common: Import, named: NamedLog) -> list[Imported]:
     return [replace(found[0], notes=(*found[0].notes, *(f"Not imported: {why}" for why in failed))), *found[1:]]
 
 
-def _import_run(common: Import, log: VehicleLog, run: str) -> Imported:
-    """Write the readings of a log whose clock does not step."""
+def _import_run(common: Import, log: VehicleLog, run: str, digest: str) -> Imported:
+    """Write the readings of a log whose clock does not step; ``digest`` is the SHA-256 of the log."""
     path, truth = log.path, common.truth
     notes: list[str] = []
     if truth.file is None:
@@ -277,7 +277,7 @@ def _import_run(common: Import, log: VehicleLog, run: str) -> Imported:
     runs = _by_run(run, joined)
     for name, tables in runs.items():
         write_tables(common.out, name, tables)
-    return _account(tuple(runs), log, reference, joined, notes, truth)
+    return _account(tuple(runs), log, digest, reference, joined, notes, truth)
 
 
 def _without_truth(ranger: Ranger) -> Ranger:
@@ -301,7 +301,9 @@ def _by_run(name: str, joined: Sequence[Joined]) -> dict[str, dict[str, Measured
         for word in dict.fromkeys(words.tolist()):
             own = Path(name).name
             run = name if word in ("", own) else f"{name}/{word.removeprefix(f'{own}/')}"
-            found.setdefault(run, {})[each.ranger.name] = each.data.select(words == word)
+            rows = words == word
+            # Most logs are one run, and copies of two million readings take 270 MB.
+            found.setdefault(run, {})[each.ranger.name] = each.data if rows.all() else each.data.select(rows)
     return found
 
 
@@ -324,6 +326,7 @@ def _others(path: Path, joined: Sequence[Joined], sensor: SensorModel) -> tuple[
 def _account(
     runs: tuple[str, ...],
     log: VehicleLog,
+    digest: str,
     reference: TruthSource | None,
     joined: Sequence[Joined],
     notes: Iterable[str],
@@ -340,7 +343,7 @@ def _account(
     return Imported(
         runs,
         str(log.path),
-        sha256(log.path),
+        digest,
         log.form,
         max(float(time[-1]) for time in times) - min(float(time[0]) for time in times),
         tuple(_found(each) for each in joined),

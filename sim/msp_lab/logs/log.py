@@ -4,9 +4,12 @@ Each format has a file of its own that makes a `VehicleLog`; everything after th
 are those of the names, times are seconds on the log's own clock.
 """
 
+import re
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Self
 
@@ -282,6 +285,16 @@ def series(source: str, time_s: Array, values: Array) -> Series:
     return Series(source, time_s, np.asarray(values, dtype=float)[rows])
 
 
+@cache
+def number_at(path: str) -> Callable[[Any], Any]:
+    """What finds the number of a field of `MessageColumns` in a message."""
+    way, _, place = path.rpartition(".")
+    if not place.isdigit():
+        return attrgetter(path)
+    array_at = number_at(way)
+    return lambda message: array_at(message)[int(place)]
+
+
 class MessageColumns:
     """Numbers of one sender's messages by field, with the time of each, at once or collected while a log is read.
 
@@ -324,19 +337,21 @@ class MessageColumns:
         """Columns of these fields, for messages that are added one after the other."""
         return cls(source, {field: array("d") for field in fields})
 
-    def add(self, time_s: float, message: Any, place: int, other_s: float) -> None:
-        """Add a message, at a place in the log and a time of another clock.
-
-        One that has no such numbers raises AttributeError, IndexError, TypeError or ValueError.
-        """
+    def add(self, time_s: float, numbers: Iterable[float], place: int, other_s: float) -> None:
+        """Add a message's fields in their order, at a place in the log and a time of another clock."""
         self._time_s.append(time_s)
         self._other_s.append(other_s)
         self._place.append(place)
-        for path, values in self.values.items():
-            number = message
-            for name in path.split("."):
-                number = number[int(name)] if name.isdigit() else getattr(number, name)
-            values.append(float(number))
+        for values, number in zip(self.values.values(), numbers, strict=True):
+            values.append(number)
+
+    def extend(self, time_s: Array, values: Column | Mapping[str, Column], place: Column, other_s: Array) -> None:
+        """Add messages by the arrays of their times and fields, (n,), which mean what they do in `add`."""
+        self._time_s.frombytes(np.asarray(time_s, dtype=float).tobytes())
+        self._other_s.frombytes(np.asarray(other_s, dtype=float).tobytes())
+        self._place.frombytes(np.asarray(place, dtype=np.int64).tobytes())
+        for name, kept in self.values.items():
+            kept.frombytes(np.asarray(values[name], dtype=float).tobytes())
 
     def __contains__(self, field: str) -> bool:
         return field in self.values
@@ -351,7 +366,7 @@ class MessageColumns:
     @property
     def stamps(self) -> Stamps:
         """The times of its messages."""
-        return Stamps(np.array(self._place), np.array(self._time_s), np.array(self._other_s))
+        return Stamps(np.asarray(self._place), np.asarray(self._time_s), np.asarray(self._other_s))
 
     def restamp(self, time_s: Array) -> None:
         """Give its messages other times [s]."""
@@ -365,7 +380,7 @@ class MessageColumns:
     def unsorted(self, field: str, values: Array) -> Series:
         """What follows from a field, in the order in which the messages were added."""
         source = f"{self.source}.{field}" if field else self.source
-        return Series(source, np.array(self._time_s) - self.before_s, values)
+        return Series(source, np.asarray(self._time_s) - self.before_s, values)
 
 
 class LoggedFlight(dict[str, MessageColumns]):
@@ -399,6 +414,22 @@ def make_continuous(senders: Iterable[MessageColumns]) -> tuple[ClockRun, ...]:
     for sender, time_s in zip(senders, times_s, strict=True):
         sender.restamp(time_s)
     return runs
+
+
+@cache
+def struct_layout(form: str, names: tuple[str, ...] = ()) -> np.dtype[Any]:
+    """A little-endian format of `struct` as a layout of numpy, whose fields have these names, or ``f0``, ``f1`` ...
+
+    Examples
+    --------
+    >>> struct_layout("<B2H16s", ("a", "b", "c"))
+    dtype([('a', 'u1'), ('b', '<u2', (2,)), ('c', 'S16')])
+    """
+    kinds: list[Any] = []
+    for count, letter in re.findall(r"(\d*)([a-zA-Z])", form):
+        kind = f"<{letter}" if letter != "s" else f"S{count or 1}"
+        kinds.append((kind, int(count)) if count and letter != "s" else kind)
+    return np.dtype(list(zip(names or [f"f{index}" for index in range(len(kinds))], kinds, strict=True)))
 
 
 def tilt_of_quaternion_deg(x: Array, y: Array) -> Array:

@@ -11,11 +11,11 @@ message_definitions.
 """
 
 import contextlib
-import functools
 import os
 import re
 import shutil
 import sqlite3
+import struct
 import tempfile
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -43,9 +43,11 @@ from msp_lab.logs.log import (
     make_continuous,
     make_log,
     make_ranger,
+    number_at,
     rounded_cm,
     tilt_of_quaternion_deg,
 )
+from msp_lab.logs.ros_numbers import numbers_of
 from msp_range.input_file import open_input, read_text
 from msp_range.recording.error import RecordingError
 from msp_range.recording.mcap_records import Losses, RawMessage, read_records
@@ -76,6 +78,7 @@ _FIELDS: Mapping[str, tuple[str, ...]] = {
     "mavros_msgs/msg/VFR_HUD": ("throttle",),
 }
 """Type of a message -> the fields that are read."""
+_STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 _POSES = ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped", "Odometry")
 
 
@@ -84,6 +87,7 @@ _IDL = "=" * 80 + "\n"
 """Before each part of a definition in IDL."""
 _MESSAGE, _CHUNK, _CONNECTION = b"\x02", b"\x05", b"\x07"
 """Records of a bag of ROS 1 that hold messages or topics; the others are indexes."""
+_LENGTH, _TIME = struct.Struct("<I"), struct.Struct("<II")
 
 
 class Topic(NamedTuple):
@@ -95,6 +99,8 @@ class Topic(NamedTuple):
     is_ros1: bool = False
 
 
+_UNKNOWN = Topic("", "")
+"""In place of a topic that was not described yet."""
 Wanted = Callable[[Topic], bool]
 Messages = Iterator[tuple[Topic, int, bytes]]
 """Topic, when the message arrived [ns], and its bytes."""
@@ -102,6 +108,10 @@ Messages = Iterator[tuple[Topic, int, bytes]]
 
 class CutError(Exception):
     """The file ends or is damaged here; the messages before were whole."""
+
+
+class _NoNumberError(Exception):
+    """A message has no number of the name that is asked for."""
 
 
 class _Topic(MessageColumns):
@@ -118,33 +128,36 @@ def read_bag(path: Path, asked: LogRequest) -> VehicleLog:
     topic, _, field = asked.field.partition(".")
     topics: dict[str, _Topic] = {}
     notes = ["A bag does not say which way range finders look: all count as looking down."]
-    names = [topic] if field else []
-    for place, (time_s, arrived_s, found, message) in enumerate(_messages(path, names, asked.progress, notes)):
-        name, kind = found.name, found.kind
-        fields = *_FIELDS.get(kind, ()), *([field] if name in names else [])
-        try:
-            topics.setdefault(name, _Topic(name, kind, fields)).add(time_s, message, place, arrived_s)
-        except (AttributeError, IndexError, TypeError, ValueError) as error:
-            raise RecordingError(f"{path}: {name}, a {kind}, has no such number: {error}") from None
+    fields = {topic: (field,)} if field else {}
+    for place, (time_s, arrived_s, found, numbers) in enumerate(_messages(path, fields, asked.progress, notes)):
+        if found.name not in topics:
+            topics[found.name] = _Topic(found.name, found.kind, _fields_of(found, fields))
+        topics[found.name].add(time_s, numbers, place, arrived_s)
     clock = make_continuous(topics.values())
     known = [connection for connection in topics.values() if connection.message_type in _FIELDS]
     references = _references(known)
-    references += [TruthSource("column", topics[name].series(field)) for name in names if name in topics]
+    references += [TruthSource("column", topics[name].series(field)) for name in fields if name in topics]
     return make_log(path, "ROS bag", _rangers(known), _context(known), references, notes, clock)
 
 
+def _fields_of(topic: Topic, asked: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
+    """The fields of a topic that are read, those that are asked for by its name last."""
+    return tuple(dict.fromkeys((*_FIELDS.get(topic.kind, ()), *asked.get(topic.name, ()))))
+
+
 def _messages(
-    path: Path, names: list[str], progress: Callable[[float], None], notes: list[str]
-) -> Iterator[tuple[float, float, Topic, Any]]:
-    """Time by the header and of arrival since the first message arrived [s], topic and message, of these topics and of
-    those with `_FIELDS`.
+    path: Path, asked: Mapping[str, tuple[str, ...]], progress: Callable[[float], None], notes: list[str]
+) -> Iterator[tuple[float, float, Topic, Sequence[float]]]:
+    """Time by the header and of arrival since the first message arrived [s], topic and its fields, of topics that are
+    asked for and of those with `_FIELDS`.
 
     Where a file is cut or damaged, the messages before that, and a note.
     """
 
     def is_wanted(topic: Topic) -> bool:
-        return topic.kind in _FIELDS or topic.name in names
+        return topic.kind in _FIELDS or topic.name in asked
 
+    readers: dict[Topic, Callable[[bytes], tuple[int, Sequence[float]]]] = {}
     count = read_bytes = 0
     start_ns: int | None = None
     lost = []
@@ -153,15 +166,17 @@ def _messages(
     for file in files:
         try:
             for topic, arrived_ns, packed in read_messages(file, is_wanted):
-                message: Any = decoder(topic.kind, topic.definition, topic.is_ros1)(unpack(packed))
-                stamp = getattr(getattr(message, "header", None), "stamp", None)
-                sent_ns = 0 if stamp is None else int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+                if topic not in readers:
+                    readers[topic] = _reader(topic, _fields_of(topic, asked))
+                sent_ns, numbers = readers[topic](unpack(packed))
                 start_ns = arrived_ns if start_ns is None else start_ns
                 count += 1
                 read_bytes += len(packed)
                 if count % 1000 == 0:
                     progress(min(1.0, read_bytes / size))
-                yield ((sent_ns or arrived_ns) - start_ns) / 1e9, (arrived_ns - start_ns) / 1e9, topic, message
+                yield ((sent_ns or arrived_ns) - start_ns) / 1e9, (arrived_ns - start_ns) / 1e9, topic, numbers
+        except _NoNumberError as error:
+            raise RecordingError(f"{path}: {error}") from None
         except Exception as error:  # whatever storages, decoders, or types that damaged definitions make raise
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             lost.append(f"{file.name} is cut or damaged after {count} messages ({reason}); those before are here.")
@@ -254,9 +269,9 @@ def files_of(path: Path) -> tuple[list[Path], Callable[[bytes], bytes]]:
     return files, zstandard.ZstdDecompressor().decompress if is_packed else bytes
 
 
-@functools.cache
-def decoder(kind: str, definition: str, is_ros1: bool) -> Callable[[bytes], Any]:
-    """What makes a message of its bytes."""
+def _reader(topic: Topic, fields: Sequence[str]) -> Callable[[bytes], tuple[int, Sequence[float]]]:
+    """What makes the time of a message's header [ns], 0 without one, and its fields of the message's bytes."""
+    kind, definition, is_ros1 = topic.kind, topic.definition, topic.is_ros1
     store = get_typestore(Stores.EMPTY if definition else Stores.ROS2_HUMBLE)
     if definition.startswith(f"{_IDL}IDL: "):
         for part in definition.split(_IDL)[1:]:
@@ -264,7 +279,22 @@ def decoder(kind: str, definition: str, is_ros1: bool) -> Callable[[bytes], Any]
     elif definition:
         store.register(get_types_from_msg(definition, kind))
     decode = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
-    return lambda content: decode(content, kind)
+    quick = numbers_of(store, kind, is_ros1, (*_STAMP, *fields))
+
+    def read(content: bytes) -> tuple[int, Sequence[float]]:
+        found = quick(content) if quick is not None else None
+        if found is not None:
+            sec, nanosec, *numbers = found
+            return int(sec) * 1_000_000_000 + int(nanosec), numbers
+        message: Any = decode(content, kind)
+        stamp = getattr(getattr(message, "header", None), "stamp", None)
+        try:
+            numbers = [float(number_at(field)(message)) for field in fields]
+        except (AttributeError, IndexError, TypeError, ValueError) as error:
+            raise _NoNumberError(f"{topic.name}, a {kind}, has no such number: {error}") from None
+        return 0 if stamp is None else int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec), numbers
+
+    return read
 
 
 def _of_ros1(file: Any, is_wanted: Wanted) -> Messages:
@@ -294,17 +324,29 @@ def _of_ros1(file: Any, is_wanted: Wanted) -> Messages:
 
 def _in_chunk(content: bytes, topics: dict[bytes, Topic | None], is_wanted: Wanted) -> Messages:
     at, end = 0, len(content)
-    while at < end:
-        begin = at + 4 + int.from_bytes(content[at : at + 4], "little")
-        stop = begin + 4 + int.from_bytes(content[begin : begin + 4], "little")
+    length_at = _LENGTH.unpack_from
+    while at + 4 <= end:
+        begin = at + 4 + length_at(content, at)[0]
+        if begin + 4 > end:
+            return
+        stop = begin + 4 + length_at(content, begin)[0]
         if stop > end:
             return
-        header = content[at + 4 : begin]
-        number = header.find(b"conn=") + 5
-        # Most messages of most bags are of other topics: those are stepped over without a look at their fields.
-        if b"op=\x02" not in header or topics[header[number : number + 4]] is not None:
-            yield from _of_record(_fields(header), content[begin + 4 : stop], topics, is_wanted)
+        conn = content.find(b"conn=", at, begin) + 5
+        # Most messages of most bags are of other topics: those are stepped over without a look at their other fields.
+        topic = topics.get(content[conn : conn + 4], _UNKNOWN)
+        if topic is not None:
+            time = content.find(b"time=", at, begin) + 5
+            if topic is not _UNKNOWN and content.find(b"op=" + _MESSAGE, at, begin) > 0 and time >= 5:
+                yield topic, _nanoseconds(content, time), content[begin + 4 : stop]
+            else:
+                yield from _of_record(_fields(content[at + 4 : begin]), content[begin + 4 : stop], topics, is_wanted)
         at = stop
+
+
+def _nanoseconds(content: bytes, at: int) -> int:
+    seconds, rest_ns = _TIME.unpack_from(content, at)
+    return int(seconds) * 1_000_000_000 + int(rest_ns)
 
 
 def _of_record(
@@ -317,8 +359,7 @@ def _of_record(
         topic = Topic(name, normalize_msgtype(about[b"type"]), about[b"message_definition"], True)
         topics[header[b"conn"]] = topic if is_wanted(topic) else None
     elif header[b"op"] == _MESSAGE and (wanted := topics[header[b"conn"]]) is not None:
-        seconds, rest_ns = (int.from_bytes(header[b"time"][at : at + 4], "little") for at in (0, 4))
-        yield wanted, seconds * 1_000_000_000 + rest_ns, content
+        yield wanted, _nanoseconds(header[b"time"], 0), content
 
 
 def _fields(header: bytes) -> dict[bytes, bytes]:

@@ -1,12 +1,11 @@
 """A ground station's log of MAVLink messages (.tlog) as a `VehicleLog`.
 
-Before each frame are the microseconds since 1970 at which it arrived, in eight bytes; those are the times here, since
-senders have different clocks. Frames of other messages are stepped over by their length; those that matter are decoded
-by the bridge's own link. Messages: https://mavlink.io/en/messages/common.html.
+Its times are those at which frames arrived, since senders have different clocks. Messages:
+https://mavlink.io/en/messages/common.html.
 """
 
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,22 +30,16 @@ from msp_lab.logs.log import (
     make_ranger,
     truth_source,
 )
+from msp_lab.logs.telemetry_frames import TelemetryFrames
+from msp_range.arrays import Column
 from msp_range.correction.humidity import HYGROMETER, relative_humidity_percent
-from msp_range.input_file import open_input
 from msp_range.mavlink.dialect import dialect
-from msp_range.mavlink.frames import Frame, FrameReader, text_of
+from msp_range.mavlink.frames import text_of
 from msp_range.recording.error import RecordingError
-from msp_range.recording.reader import LARGEST_FILE_BYTES
 from msp_sim.model.derived import tilt_deg
 
-LATEST_US = 4_000_000_000_000_000
-"""Later times are not believed [us], this is in the year 2096: the log is damaged there."""
-MOST_BAD_BYTES = 2**20
-"""After this many bytes in no frame nothing more is read: the log was overwritten there. Each costs a microsecond."""
 MOST_BAD_SHARE = 0.5
 """A file of which a larger share is not in frames is no log. A damaged one has a few per cent."""
-_STAMP_BYTES, _LONGEST_FRAME = 8, 280
-_VERSION_1, _VERSION_2, _SIGNED = 0xFE, 0xFD, 0x01
 _INTEGER_TYPES = range(dialect.MAV_PARAM_TYPE_UINT8, dialect.MAV_PARAM_TYPE_REAL32)
 
 FIELDS: Mapping[str, tuple[str, ...]] = {
@@ -72,31 +65,26 @@ def read_telemetry(path: Path, asked: LogRequest) -> VehicleLog:
     fields = dict(FIELDS) | ({message: (*FIELDS.get(message, ()), field)} if field else {})
     kinds = {kind.msgname: kind for kind in dialect.mavlink_map.values() if kind.msgname in fields}
     ids = {kind.id: name for name, kind in kinds.items()}
-    if field and (message not in kinds or field not in kinds[message].fieldnames):
-        raise RecordingError(f"{path}: MAVLink's common messages have no {asked.field}")
-    distances: dict[tuple[int, int, int], MessageColumns] = {}
+    if field and (message not in kinds or field not in _numbers(kinds[message])):
+        raise RecordingError(f"{path}: MAVLink's common messages have no number {asked.field}")
+    distances: dict[tuple[int, int], MessageColumns] = {}
     flight = LoggedFlight()
-    senders: dict[str, tuple[int, int]] = {}
+    senders: dict[str, int] = {}
     parameters: dict[str, float] = {}
-    wanted = {*ids, dialect.MAVLINK_MSG_ID_DISTANCE_SENSOR, dialect.MAVLINK_MSG_ID_PARAM_VALUE}
-    start_s: float | None = None
-    frames = _Frames(wanted)
-    for place, (time_s, frame) in enumerate(frames.of(path, asked.progress)):
-        start_s = time_s if start_s is None else start_s
-        decoded = frame.decode()
-        sender = (frame.system, frame.component)
-        # Zero is a sender without a clock.
-        stamp = (time_s - start_s, decoded, place, 1e-3 * getattr(decoded, "time_boot_ms", 0) or np.nan)
-        if frame.message_id == dialect.MAVLINK_MSG_ID_DISTANCE_SENSOR:
-            key = (*sender, decoded.id)
-            distances.setdefault(key, MessageColumns.collecting("DISTANCE_SENSOR", _DISTANCE)).add(*stamp)
-        elif frame.message_id == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
-            name = text_of(decoded.param_id)
-            parameters[name] = _parameter(name, decoded)
+    frames = TelemetryFrames({*ids, dialect.MAVLINK_MSG_ID_DISTANCE_SENSOR, dialect.MAVLINK_MSG_ID_PARAM_VALUE})
+    for message_id, rows in frames.of(path, asked.progress):
+        values = rows["values"]
+        if message_id == dialect.MAVLINK_MSG_ID_DISTANCE_SENSOR:
+            for key in dict.fromkeys(zip(rows["sender"].tolist(), values["id"].tolist(), strict=True)):
+                own = rows[(rows["sender"] == key[0]) & (values["id"] == key[1])]
+                _add(distances.setdefault(key, MessageColumns.collecting("DISTANCE_SENSOR", _DISTANCE)), own)
+        elif message_id == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
+            for text, kind, value in values[["param_id", "param_type", "param_value"]].tolist():
+                parameters[text_of(text)] = _parameter(text_of(text), kind, value)
         else:
-            kind = ids[frame.message_id]
-            if senders.setdefault(kind, sender) == sender:
-                flight.setdefault(kind, MessageColumns.collecting(kind, fields[kind])).add(*stamp)
+            name = ids[message_id]
+            own = rows[rows["sender"] == senders.setdefault(name, rows["sender"][0])]
+            _add(flight.setdefault(name, MessageColumns.collecting(name, fields[name])), own)
     clock = make_continuous([*distances.values(), *flight.values()])
     if frames.bad_bytes > MOST_BAD_SHARE * frames.size:
         raise RecordingError(f"{path}: no telemetry log: {frames.bad_bytes} of {frames.size} bytes are in no frame")
@@ -110,73 +98,33 @@ def read_telemetry(path: Path, asked: LogRequest) -> VehicleLog:
     return make_log(path, form, rangers, _context(flight), references, notes, clock)
 
 
-class _Frames:
-    """The frames of a log with one of these messages, and how many bytes of how many are in no frame."""
-
-    def __init__(self, wanted: set[int]) -> None:
-        self._wanted = wanted
-        self.bad_bytes = self.size = 0
-
-    def of(self, path: Path, progress: Callable[[float], None]) -> Iterator[tuple[float, Frame]]:
-        """Wanted frames with their time [s]."""
-        with open_input(path, LARGEST_FILE_BYTES) as file:
-            self.size = file.seek(0, 2)
-            file.seek(0)
-            rest, skipped = b"", 0
-            while skipped <= MOST_BAD_BYTES and (block := file.read(2**20)):
-                data = rest + block
-                at, end = 0, len(data)
-                is_last = file.tell() >= self.size
-                while end - at > _STAMP_BYTES + _LONGEST_FRAME or (is_last and end - at > _STAMP_BYTES + 3):
-                    begin = at + _STAMP_BYTES
-                    length, message_id = _header(data, begin)
-                    stop = begin + length
-                    if not length or stop > end or not (stop == end or _is_frame(data, stop, end)):
-                        at += 1
-                        skipped += 1
-                        self.bad_bytes += 1
-                        continue
-                    if message_id in self._wanted:
-                        for frame in FrameReader().read(data[begin:stop]):
-                            yield int.from_bytes(data[at:begin], "big") / 1e6, frame
-                            skipped = 0
-                    at = stop
-                rest = data[at:]
-                progress(file.tell() / self.size)
-            self.bad_bytes += len(rest) + self.size - file.tell()
+def _add(columns: MessageColumns, rows: Column) -> None:
+    """Add messages of one sender, as `TelemetryFrames` has them."""
+    values = rows["values"]
+    boot_ms = values["time_boot_ms"] if "time_boot_ms" in (values.dtype.names or ()) else np.zeros(rows.size)
+    # Zero is a sender without a clock.
+    columns.extend(rows["time_s"], values, rows["place"], np.where(boot_ms != 0, 1e-3 * boot_ms, np.nan))
 
 
-def _header(data: bytes, begin: int) -> tuple[int, int]:
-    """Length of the frame that begins here and its message; length 0: none does."""
-    if data[begin] == _VERSION_2 and begin + 10 <= len(data):
-        signature = 13 * (data[begin + 2] & _SIGNED)
-        return 12 + data[begin + 1] + signature, int.from_bytes(data[begin + 7 : begin + 10], "little")
-    if data[begin] == _VERSION_1 and begin + 6 <= len(data):
-        return 8 + data[begin + 1], data[begin + 5]
-    return 0, -1
+def _numbers(kind: Any) -> list[str]:
+    """The fields of a message that are neither texts nor other arrays."""
+    return [name for name, length in zip(kind.ordered_fieldnames, kind.array_lengths, strict=True) if not length]
 
 
-def _is_frame(data: bytes, at: int, end: int) -> bool:
-    """Whether a time and the first byte of a frame follow, as far as they are here."""
-    begin = at + _STAMP_BYTES
-    if begin >= end:
-        return True
-    return data[begin] in (_VERSION_1, _VERSION_2) and int.from_bytes(data[at:begin], "big") < LATEST_US
-
-
-def _parameter(name: str, message: Any) -> float:
+def _parameter(name: str, kind: int, value: float) -> float:
     """A parameter's value: PX4 sends the bytes of an integer in the place of a float, ArduPilot its value."""
-    if name.startswith("EKF2_") and message.param_type in _INTEGER_TYPES:
-        number: int = struct.unpack("<i", struct.pack("<f", message.param_value))[0]
+    if name.startswith("EKF2_") and kind in _INTEGER_TYPES:
+        number: int = struct.unpack("<i", struct.pack("<f", value))[0]
         return float(number)
-    return float(message.param_value)
+    return value
 
 
-def _rangers(distances: Mapping[tuple[int, int, int], MessageColumns]) -> list[Ranger]:
+def _rangers(distances: Mapping[tuple[int, int], MessageColumns]) -> list[Ranger]:
     rangers = []
-    numbers = [number for _, _, number in distances]
-    for (system, component, number), found in distances.items():
-        name = f"distance_sensor_{number}" + (f"_of_{system}_{component}" if numbers.count(number) > 1 else "")
+    numbers = [number for _, number in distances]
+    for (sender, number), found in distances.items():
+        whose = f"_of_{sender // 256}_{sender % 256}" if numbers.count(number) > 1 else ""
+        name = f"distance_sensor_{number}{whose}"
         ranges = found.unsorted("current_distance", found["current_distance"] / 100.0)
         is_too_near = found["current_distance"] < found["min_distance"]
         # 1 is an invalid signal, 0 an unknown one (common.xml).

@@ -91,27 +91,24 @@ def check_new(folder: Path, names: Sequence[str]) -> dict[str, Any]:
     return runs
 
 
-def record_runs(folder: Path, names: Sequence[str], about: Mapping[str, Any]) -> None:
-    """List runs in a dataset, which is made where there is none; one after the other, as each rewrites the list.
+def record_runs(folder: Path, about: Mapping[str, Mapping[str, Any]]) -> None:
+    """List runs in a dataset, which is made where there is none; one call after the other, as each rewrites the list.
 
     Parameters
     ----------
     folder
         The dataset.
-    names
-        Names of runs of one log.
     about
-        What ``dataset.json`` is to say of them.
+        Name of each run -> what ``dataset.json`` is to say of it.
 
     Raises
     ------
     RecordingError
         There is such a run already, or the file cannot be written.
     """
-    runs = check_new(folder, names)
+    runs = check_new(folder, list(about))
     with new_file(folder / ORIGIN, replacing=True) as unfinished:
-        listed = runs | {run: dict(about) for run in names}
-        unfinished.write_text(json.dumps({"runs": listed}, indent=2), encoding="utf-8")
+        unfinished.write_text(json.dumps({"runs": {**runs, **about}}, indent=2), encoding="utf-8")
 
 
 def read_dataset(folder: Path, runs: Sequence[str] = ()) -> MeasuredData:

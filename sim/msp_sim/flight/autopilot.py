@@ -9,9 +9,11 @@ receives both autopilot and bridge.
 import math
 import random
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Annotated, Any, Literal
 
+from fastcrc.crc16 import mcrf4xx
 from pydantic import Field
 
 from msp_range.clock import Clock
@@ -310,9 +312,27 @@ class LoopbackAutopilot:
             self._put(dialect.MAVLink_command_ack_message, message.command, result, 0, 0, *source)
 
     def _put(self, kind: Any, *values: float) -> None:
-        """Send a message, from its class and all of its fields."""
-        self._outgoing += kind(*values).pack(self._mav)
+        """Send a message, from its class and its numbers; extensions that are left out are 0."""
+        self._outgoing += _frame(kind, values, self._mav.seq)
         self._mav.seq = (self._mav.seq + 1) % 256
+
+
+def _frame(kind: Any, values: Sequence[float], sequence: int) -> bytes:
+    """A MAVLink 2 frame of the autopilot: what pymavlink makes, which takes four times as long."""
+    values = (*values, *[0] * (len(kind.fieldnames) - len(values)))
+    payload: bytes = kind.unpacker.pack(*[values[field] for field in _wire_order(kind)])
+    # Zeros at the end are left out, but not the first byte.
+    payload = payload[:1] + payload[1:].rstrip(b"\0")
+    message_id = kind.id.to_bytes(3, "little")
+    head = bytes((len(payload), 0, 0, sequence, 1, dialect.MAV_COMP_ID_AUTOPILOT1, *message_id))
+    checksum = mcrf4xx(head + payload + bytes((kind.crc_extra,)))
+    return b"\xfd" + head + payload + checksum.to_bytes(2, "little")
+
+
+@cache
+def _wire_order(kind: Any) -> tuple[int, ...]:
+    """Which of a message's fields are where in a frame, all of them numbers."""
+    return tuple(kind.fieldnames.index(name) for name in kind.ordered_fieldnames)
 
 
 def _message_id(frame: bytes) -> int:

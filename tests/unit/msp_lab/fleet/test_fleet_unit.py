@@ -30,7 +30,7 @@ def unit(tmp_path: Path) -> Unit:
             reading_cm[k] = reading_cm[max(k - 1, 0)]
         reading_cm += 4.0 * (name == SESSIONS[-1])
         write_tables(tmp_path, name, {"down": MeasuredData({**contexts, "reading_cm": reading_cm})})
-        record_runs(tmp_path, [name], {"file": f"{name}.csv"})
+        record_runs(tmp_path, {name: {"file": f"{name}.csv"}})
     return Unit(tmp_path, "V1", "down", SESSIONS, 1)
 
 
@@ -77,7 +77,7 @@ def drawn(folder: Path, name: str, scale: float, rng: np.random.Generator, witho
             reading_cm[missed] = np.rint(contexts["true_range_cm"][missed])
         reading_cm += np.rint((scale - 1.0) * contexts["true_range_cm"])
         write_tables(folder, session, {"down": MeasuredData({**contexts, "reading_cm": reading_cm})})
-        record_runs(folder, [session], {"file": f"{session}.csv"})
+        record_runs(folder, {session: {"file": f"{session}.csv"}})
     return Unit(folder, name, "down", sessions, 1)
 
 

@@ -1,14 +1,16 @@
-"""The simulated autopilot's barometer: what it reads in air, near the ground and in gusts."""
+"""The simulated autopilot's barometer: what it reads in air, near the ground and in gusts; and its frames."""
 
 import math
 import random
+from typing import Any
 
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from msp_range.clock import VirtualClock
-from msp_sim.flight.autopilot import SEA_LEVEL_HPA, AutopilotSection, BarometerSection, LoopbackAutopilot
+from msp_range.mavlink.dialect import dialect
+from msp_sim.flight.autopilot import SEA_LEVEL_HPA, AutopilotSection, BarometerSection, LoopbackAutopilot, _frame
 from msp_sim.world.vehicle import HOVER_THROTTLE, IDLE_THROTTLE, Pose
 
 
@@ -75,3 +77,14 @@ def test_gusts_have_their_size_and_their_correlation_time() -> None:
     read_m -= np.convolve(read_m, np.ones(201) / 201, mode="same")
     assert read_m.std() == pytest.approx(3.0, rel=0.1)
     assert np.corrcoef(read_m[:-1], read_m[1:])[0, 1] == pytest.approx(math.exp(-0.25), abs=0.05)
+
+
+@pytest.mark.parametrize("name", ["heartbeat", "system_time", "attitude", "scaled_pressure", "raw_imu", "command_ack"])
+def test_its_frames_are_those_of_pymavlink(name: str) -> None:
+    kind: Any = getattr(dialect, f"MAVLink_{name}_message")
+    link = dialect.MAVLink(None, 1, 1)
+    for count, sequence in ((len(kind.fieldnames), 0), (len(kind.fieldnames) - 1, 255)):
+        for values in (range(3, 3 + count), [0] * count, [5, *[0] * (count - 1)]):
+            link.seq = sequence
+            padded = [*values, *[0] * (len(kind.fieldnames) - count)]
+            assert _frame(kind, tuple(values), sequence) == kind(*padded).pack(link)
