@@ -156,7 +156,8 @@ def serve(
             link_log.update()
         if now_s >= next_summary_s:
             next_summary_s += SUMMARY_INTERVAL_S
-            log.info("still flying", **_summary(bridge, transport))
+            event = "still flying" if bridge.link.autopilot_armed else "still running"
+            log.info(event, **_summary(bridge, transport))
     log.info("stopped by signal", signal=signal.Signals(stopped[0]).name, **_summary(bridge, transport))
     notify_systemd("STOPPING=1")
 
