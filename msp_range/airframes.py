@@ -54,7 +54,7 @@ QUESTIONS: tuple[tuple[str, Callable[[Airframe], str]], ...] = (
 differ."""
 
 
-def lines() -> Iterator[str]:
+def described() -> Iterator[str]:
     """The airframes, and the answers of each."""
     for name, airframe in shipped_airframes().items():
         count, looks, kind, cant, *link, _ = (answer(airframe) for _, answer in QUESTIONS)
@@ -90,10 +90,11 @@ def ask_at_terminal(question: str, answers: Sequence[str]) -> str:
     """
     if not sys.stdin.isatty():
         raise ConfigError(f"which airframe? Name one of {', '.join(shipped_airframes())}, or a file of your own")
-    print("\n".join([question, *(f"  {number}) {each}" for number, each in enumerate(answers, 1))]))
     numbers = {str(number): each for number, each in enumerate(answers, 1)}
+    lines = [question, *(f"  {number}) {each}" for number, each in numbers.items())]
+    print("\n".join(lines), file=sys.stderr)
     while True:
-        print("number: ", end="", flush=True)
+        print("number: ", end="", file=sys.stderr, flush=True)
         line = sys.stdin.readline()
         if not line:
             raise ConfigError("no airframe chosen")

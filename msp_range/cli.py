@@ -306,13 +306,13 @@ def airframes(
 
     For the service, as install.sh does: sudo msp-range airframes --into /etc/msp-range
     """
-    from msp_range.airframes import ask_at_terminal, choose, lines, shipped_airframes, write_into
+    from msp_range.airframes import ask_at_terminal, choose, described, shipped_airframes, write_into
     from msp_range.config import read_airframe
 
     if into is None:
         if airframe is not None:
             raise ConfigError(f"{airframe}: --into names the folder to write it into; msp-range check shows it")
-        print("\n".join(lines()))
+        print("\n".join(described()))
         return
     for path in write_into(read_airframe(airframe or choose(shipped_airframes(), ask_at_terminal)), into):
         print(f"written: {path}")
