@@ -4,7 +4,7 @@
 # make test-all   run all tests: also more cases, statistics, long waits, and tests of the tests' own tools
 # make check  what CI runs: format, lint, types, layers, then all tests
 # make docs   build the site of the documents into build/site/html; a broken link or a missing page fails
-# make test-install  install on a Debian with a real systemd, break, upgrade and remove it (as root; 5 minutes)
+# make test-install  install on Debians with a real systemd, break, upgrade and remove it (as root; 10 minutes)
 # make lock   renew requirements*.lock, the versions and hashes of what install.sh and a release install
 # make release  sdist, wheel, Debian packages, container images and list of packages, into build/release (as root)
 # make stored  keep files of this version for later versions' tests, in tests/stored
@@ -45,6 +45,7 @@ test-all: .venv/.installed-test compile mavproxy
 
 test-install: .venv/.installed-test
 	$(BIN)/python -m evaluation install
+	$(BIN)/python -m evaluation package
 
 docs: .venv/.installed-test
 	$(BIN)/python docs/site/build.py

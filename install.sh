@@ -109,12 +109,19 @@ make_user() {
     [ -z "${SUDO_USER:-}" ] || [ "$SUDO_USER" = root ] || run usermod --append --groups i2c,dialout "$SUDO_USER"
 }
 
+# Sensor models that come with the program, those next to a file of one's own, and the airframe file.
+copy_configuration() {
+    mkdir -p "$1/sensors"
+    cp "$SOURCE"/configs/sensors/*.yaml "$(dirname "$AIRFRAME")"/sensors/*.yaml "$1/sensors" 2>/dev/null || true
+    cp "$AIRFRAME" "$1/airframe.yaml"
+}
+
 # The environment is complete before `venv` points to it: an upgrade that fails leaves the old one as it was.
 install_programs() {
     NEW=$OPT/venv-$(date -u +%Y%m%dT%H%M%S)
     OLD=$(readlink "$OPT/venv" 2>/dev/null || true)
     say "Installing the programs into $NEW"
-    [ "$DRY_RUN" ] && { say "would run: python3 -m venv, pip install $SOURCE"; CHOSEN=$AIRFRAME; return; }
+    [ "$DRY_RUN" ] && { say "would run: python3 -m venv, pip install $SOURCE"; return; }
     # A copy: the build leaves no files of root's in the clone, and finds none of an earlier one there.
     COPY=$(mktemp -d) UNUSED=$NEW
     trap 'rm -rf "$COPY" "$UNUSED"; rmdir "$OPT" 2>/dev/null || true' EXIT
@@ -127,9 +134,13 @@ install_programs() {
     cp "$SOURCE"/requirements-*.lock "$NEW"
     local airframe=$ETC/airframe.yaml
     if [ ! -e "$airframe" ]; then
-        [ "$AIRFRAME" ] || say "What is most like your vehicle? The file $airframe can be changed afterwards."
-        "$NEW/bin/msp-range" airframes --into "$COPY/etc" ${AIRFRAME:+"$AIRFRAME"} >/dev/null
-        CHOSEN=$COPY/etc/airframe.yaml airframe=$COPY/etc/airframe.yaml
+        if [ -z "$AIRFRAME" ]; then
+            say "What is most like your vehicle? The file $airframe can be changed afterwards."
+            "$NEW/bin/msp-range" airframes --into "$COPY/chosen" >/dev/null
+            AIRFRAME=$COPY/chosen/airframe.yaml
+        fi
+        airframe=$COPY/etc/airframe.yaml
+        copy_configuration "$COPY/etc"
     fi
     { "$NEW/bin/msp-range" extras --airframe "$airframe" && "$NEW/bin/msp-range" check "$airframe"; } >/dev/null ||
         refuse "this version cannot use ${AIRFRAME:-$airframe} (above); nothing was changed"
@@ -152,10 +163,9 @@ install_files() {
     if [ "$NO_WEB" ]; then remove_web; else put "$SOURCE/systemd/msp-range-web.service" $WEB_UNIT; fi
     put "$SOURCE/systemd/msp-range.rules" $RULES
     put "$SOURCE/systemd/msp-range.modules" $MODULES
-    # Its own sensor models first: those that come with the program are put next to them, and replace none.
-    [ -e "$ETC/airframe.yaml" ] || run "$NEW/bin/msp-range" airframes --into "$ETC" "$CHOSEN"
     local each
     for each in "$SOURCE"/configs/sensors/*.yaml; do put "$each" "$ETC/sensors/$(basename "$each")"; done
+    [ -e "$ETC/airframe.yaml" ] || run copy_configuration "$ETC"
     run install -d -o msp-range -g msp-range "$STATE"
 }
 

@@ -2,10 +2,10 @@
 
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path, PurePath
+from pathlib import Path
 
 from msp_range.config import AIRFRAME_NAME, Airframe, read_airframe
-from msp_range.yaml_file import SHIPPED, ConfigError, write_file
+from msp_range.yaml_file import SHIPPED, ConfigError, writing
 
 AROUND = {"forward", "right", "rear", "left"}
 """Orientations of sensors that look around."""
@@ -54,9 +54,9 @@ QUESTIONS: tuple[tuple[str, Callable[[Airframe], str]], ...] = (
 differ."""
 
 
-def described() -> Iterator[str]:
-    """The airframes, and the answers of each."""
-    for name, airframe in shipped_airframes().items():
+def described(airframes: Mapping[str, Airframe]) -> Iterator[str]:
+    """Airframes by their names, and the answers of each, one line for each."""
+    for name, airframe in airframes.items():
         count, looks, kind, cant, *link, _ = (answer(airframe) for _, answer in QUESTIONS)
         yield f"{name}: {count} {kind}, {looks}, {cant}; {', '.join(link)}"
 
@@ -89,7 +89,7 @@ def ask_at_terminal(question: str, answers: Sequence[str]) -> str:
         There is no terminal to ask on, or the input ends.
     """
     if not sys.stdin.isatty():
-        raise ConfigError(f"which airframe? Name one of {', '.join(shipped_airframes())}, or a file of your own")
+        raise ConfigError(f"which airframe? Name one of {', '.join(shipped_airframes())}")
     numbers = {str(number): each for number, each in enumerate(answers, 1)}
     lines = [question, *(f"  {number}) {each}" for number, each in numbers.items())]
     print("\n".join(lines), file=sys.stderr)
@@ -103,28 +103,22 @@ def ask_at_terminal(question: str, answers: Sequence[str]) -> str:
 
 
 def write_into(airframe: Airframe, folder: Path) -> Iterator[Path]:
-    """Write an airframe file as ``airframe.yaml``, and the sensor models next to it; gives each path that was written.
+    """Write an airframe file as ``airframe.yaml``, and the sensor models that it names; gives each path it has written.
 
     A model file that exists stays as it is.
 
     Raises
     ------
     ConfigError
-        There is an airframe file already, one cannot be written, or a model file would be outside of the folder.
+        There is an airframe file already, or one cannot be written.
     """
     if (folder / AIRFRAME_NAME).exists():
         raise ConfigError(f"{folder / AIRFRAME_NAME}: exists already; change it, or move it away to choose another one")
     # The airframe file is last: where it is, all of it is.
     for name, text in sorted(airframe.files.items(), key=lambda each: each[0] == AIRFRAME_NAME):
-        place = PurePath(name)
-        if ".." in place.parts:
-            raise ConfigError(f"{airframe.path}: names {name}, outside of its folder; give the whole path")
-        # A model that is named by a word comes with the program, and one with a whole path stays there.
-        if place.is_absolute() or not place.suffix or (folder / place).exists():
-            continue
-        try:
-            (folder / place).parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigError(f"{(folder / place).parent}: cannot be made: {error.strerror}") from None
-        write_file(folder / place, text)
-        yield folder / place
+        path = folder / name
+        if not path.exists():
+            with writing(path):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_text(text, encoding="utf-8")
+            yield path

@@ -290,13 +290,8 @@ def web(
 
 @app.command()
 def airframes(
-    airframe: Annotated[
-        Path | None,
-        Argument(
-            metavar="[NAME|FILE]",
-            help="the airframe to write, by its name or from a file; default: by questions",
-            autocompletion=shipped(""),
-        ),
+    name: Annotated[
+        str | None, Argument(help="the one to write; default: by questions", autocompletion=shipped(""))
     ] = None,
     into: Annotated[
         Path | None, Option(metavar="FOLDER", help="write airframe.yaml and the sensor models that it names there")
@@ -307,14 +302,14 @@ def airframes(
     For the service, as install.sh does: sudo msp-range airframes --into /etc/msp-range
     """
     from msp_range.airframes import ask_at_terminal, choose, described, shipped_airframes, write_into
-    from msp_range.config import read_airframe
 
+    known = shipped_airframes()
+    if name is not None and name not in known:
+        raise ConfigError(f"airframes: found {name}; expected one of {', '.join(known)}")
     if into is None:
-        if airframe is not None:
-            raise ConfigError(f"{airframe}: --into names the folder to write it into; msp-range check shows it")
-        print("\n".join(described()))
+        print("\n".join(described({name: known[name]} if name else known)))
         return
-    for path in write_into(read_airframe(airframe or choose(shipped_airframes(), ask_at_terminal)), into):
+    for path in write_into(known[name or choose(known, ask_at_terminal)], into):
         print(f"written: {path}")
 
 

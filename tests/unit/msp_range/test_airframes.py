@@ -71,30 +71,21 @@ def test_without_a_terminal_the_names_are_reported(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_of_ones_own_is_written_with_its_models_and_replaces_nothing(tmp_path: Path) -> None:
-    source, folder = tmp_path / "source", tmp_path / "etc"
-    (source / "models").mkdir(parents=True)
-    (folder / "models").mkdir(parents=True)
-    (source / "models/own.yaml").write_bytes((CONFIGS / "sensors/mb1242.yaml").read_bytes())
-    (source / "models/edited.yaml").write_bytes((CONFIGS / "sensors/mb1242.yaml").read_bytes())
-    (folder / "models/edited.yaml").write_text("# edited by its owner\n")
-    text = (CONFIGS / "quad_pallet.yaml").read_text()
-    text = text.replace("sensors/mb1242.yaml", "models/own.yaml", 1).replace(
-        "sensors/mb1242.yaml", "models/edited.yaml", 1
-    )
-    text = text.replace("sensors/mb1242.yaml", "mb1242")
-    (source / "mine.yaml").write_text(text)
-    output = run("msp-range airframes", source / "mine.yaml", "--into", folder).output
-    assert output == f"written: {folder}/models/own.yaml\nwritten: {folder}/airframe.yaml\n"
-    assert (folder / "airframe.yaml").read_text() == text
-    assert (folder / "models/edited.yaml").read_text() == "# edited by its owner\n"
-    assert "exists already" in run("msp-range airframes loopback --into", folder, code=3).stderr
-    assert (folder / "airframe.yaml").read_text() == text
-    (source / "mine.yaml").write_text(text.replace("models/own.yaml", "../source/models/own.yaml"))
-    refused = run("msp-range airframes", source / "mine.yaml", "--into", tmp_path / "other", code=3)
-    assert "names ../source/models/own.yaml, outside of its folder" in refused.stderr
-    assert not (tmp_path / "other").exists()
+def test_what_exists_is_not_replaced(tmp_path: Path) -> None:
+    model = tmp_path / "sensors/mb1242.yaml"
+    model.parent.mkdir()
+    model.write_text("# edited by its owner\n")
+    assert run("msp-range airframes quad_pallet --into", tmp_path).output == f"written: {tmp_path}/airframe.yaml\n"
+    assert model.read_text() == "# edited by its owner\n"
+    assert "exists already" in run("msp-range airframes loopback --into", tmp_path, code=3).stderr
+    assert (tmp_path / "airframe.yaml").read_bytes() == (CONFIGS / "quad_pallet.yaml").read_bytes()
 
 
-def test_a_name_without_a_folder_is_refused() -> None:
-    assert "--into names the folder" in run("msp-range airframes quad_pallet", code=3).stderr
+def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    assert "cannot be written" in run("msp-range airframes loopback --into", tmp_path / "file/etc", code=3).stderr
+
+
+def test_a_name_that_none_has_is_refused() -> None:
+    assert run("msp-range airframes quad_pallet").output.startswith("quad_pallet: 4 MB1242 on I2C, down")
+    assert "expected one of canted_pallet" in run("msp-range airframes octo", code=3).stderr
