@@ -22,6 +22,7 @@ from msp_range.bus.smbus import KernelBus
 from msp_range.clock import Clock, SystemClock
 from msp_range.config import Airframe
 from msp_range.correction.thermometer import ThreadReader
+from msp_range.health.verdict import BridgeState
 from msp_range.log import Log
 from msp_range.mavlink.signing import signing_of
 from msp_range.mavlink.transport import Transport, open_transport
@@ -180,9 +181,8 @@ class _LinkLog:
         verdict = self._bridge.verdict
         if verdict.state != self._verdict:
             self._verdict = verdict.state
-            self._log.info(
-                verdict.state.value, reasons=[finding.text for finding in verdict.findings if finding.cause is None]
-            )
+            write = self._log.warning if verdict.state is BridgeState.CRITICAL else self._log.info
+            write(verdict.state.value, reasons=[finding.text for finding in verdict.findings if finding.cause is None])
         state = transport.connected, transport.last_error
         if state != self._state:
             self._state = state

@@ -203,7 +203,7 @@ def has_a_unit_of_before(machine: Machine, receiver: Receiver) -> None:
     """The page was a part of the bridge's unit, and becomes one of its own."""
     unit = "/etc/systemd/system/msp-range.service"
     machine.run("systemctl disable -q --now msp-range-web; rm /etc/systemd/system/msp-range-web.service")
-    machine.run(f"sed -i 's/--log json$/& --web 8642/' {unit}; sha256sum {unit} >>/opt/msp-range/installed.sha256")
+    machine.run(f"sed -i 's/^ExecStart=.*/& --web 8642/' {unit}; sha256sum {unit} >>/opt/msp-range/installed.sha256")
     machine.run("systemctl daemon-reload; systemctl restart msp-range")
     Machine.until("page", lambda: is_served(machine))
     machine.run("cd msp-range && ./install.sh --upgrade")

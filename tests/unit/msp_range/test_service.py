@@ -131,3 +131,12 @@ def test_the_log_has_each_change_of_the_link_and_each_minute_whether_the_vehicle
         ("still flying", "info", None),
         ("stopped by signal", "info", None),
     ]
+
+
+def test_a_critical_state_is_a_warning_in_the_log() -> None:
+    bench, lines = Bench(airframe(), 300), io.StringIO()
+    log = service._LinkLog(bench.bridge, Nowhere(), Log("json", lines))
+    bench.fly(7.0)  # without an autopilot
+    log.update()
+    critical = [json.loads(each) for each in lines.getvalue().splitlines() if '"critical"' in each]
+    assert [(each["level"], "no autopilot" in each["reasons"][0]) for each in critical] == [("warning", True)]
