@@ -95,10 +95,10 @@ class Receiver:
 
 
 def snapshot(machine: Machine) -> str:
-    """All folders of the container, and files with sizes and times, but for what systemd itself writes."""
+    """All folders of the container, and files with sizes and times, but for git's and those that systemd writes."""
     return machine.run(
         "find /etc /opt /usr/local /var/lib /root -type d -printf '%p\\n' -o -printf '%p %s %T@\\n' | sort |"
-        " grep -v /var/lib/systemd"
+        " grep -v -e /var/lib/systemd -e /.git/"
     ).stdout
 
 

@@ -151,6 +151,7 @@ def on_debian(suite: str, package: Path, before: Path) -> int:
         starts(machine, receiver, before)
         is_upgraded(machine, receiver, package)
         is_removed(machine, clean)
+        machine.run("systemctl stop emulated-i2c")
         machine.emulate_sensors(READINGS_CM)
         starts_by_its_own_words(machine, package)
     except (AssertionError, RuntimeError, subprocess.TimeoutExpired) as error:
