@@ -280,7 +280,8 @@ install_all() {
     elif [ -e "$ETC/airframe.commission.json" ]; then
         say "Next: msp-range status"
     else
-        say "Next, with the propellers off: sudo msp-range commission --phone"
+        say "Next, with the propellers off: sudo systemctl stop msp-range && sudo msp-range commission --phone"
+        say "and when it is through: sudo systemctl start msp-range"
     fi
 }
 

@@ -143,7 +143,7 @@ def install(machine: Machine, receiver: Receiver) -> None:
     ending = done.stdout[done.stdout.index("Only this computer") :]
     expect("http://127.0.0.1:8642/" in ending, "it ends with the address of the page,")
     expect("wrong    I2C interface: there is no /dev/i2c-1" in ending, "what is wrong,")
-    expect(ending.splitlines()[-1].startswith("Next"), "and the next command")
+    expect("\nNext, when that is done: msp-range doctor" in ending, "and the next command")
     say(f"    installed in {installed_s:.0f} s")
     expect(receiver.await_distance() < RESTARTED_S, "distances arrive")
     expect(megabytes(machine) <= MAX_INSTALLED_MB, f"{megabytes(machine)} MB in /opt/msp-range")
