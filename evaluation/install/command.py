@@ -453,6 +453,15 @@ def is_removed(machine: Machine) -> None:
     expect(machine.run("id msp-range", check=False).returncode != 0, "and no user")
 
 
+def asks_at_a_terminal(machine: Machine) -> None:
+    """The answers of a person: four sensors that look down, not canted, an autopilot on a serial port."""
+    done = machine.run(r"cd msp-range && printf '2\n2\n2\n1\n' | script -qec './install.sh --no-web' /dev/null")
+    say(done.stdout)
+    chosen = machine.run("runuser -u msp-range -- cat /etc/msp-range/airframe.yaml").stdout
+    expect(chosen == (ROOT / "configs/quad_pallet.yaml").read_text(), "the service reads quad_pallet")
+    expect(machine.show("ActiveState") == "active", "and runs")
+
+
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument("--suite", default="bookworm", help="Debian release (default: %(default)s)")
@@ -495,6 +504,8 @@ def main(given: argparse.Namespace) -> int:
             step(machine, receiver)
         say(f"is removed: {is_removed.__doc__}")
         is_removed(machine)
+        say(f"asks at a terminal: {asks_at_a_terminal.__doc__}")
+        asks_at_a_terminal(machine)
     except (AssertionError, RuntimeError, subprocess.TimeoutExpired) as error:
         say(f"FAILED: {error}")
         if machine.leader:
