@@ -206,7 +206,7 @@ load_rules() {
     run systemctl daemon-reload
     # A container has no modules and no udev.
     while read -r module; do
-        case $module in '' | '#'*) ;; *) run modprobe -q "$module" || true ;; esac
+        case $module in '' | '#'*) ;; *) run modprobe -q "$module" 2>/dev/null || true ;; esac
     done <"$SOURCE/systemd/msp-range.modules"
     if run udevadm control --reload 2>/dev/null; then
         run udevadm trigger --subsystem-match=i2c-dev --subsystem-match=tty || true
