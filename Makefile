@@ -4,7 +4,7 @@
 # make test-all   run all tests: also more cases, statistics, long waits, and tests of the tests' own tools
 # make check  what CI runs: format, lint, types, layers, then all tests
 # make docs   build the site of the documents into build/site/html; a broken link or a missing page fails
-# make test-install  install on Debians with a real systemd, break, upgrade and remove it (as root; 10 minutes)
+# make test-install  install on Debians with a real systemd, break, upgrade and remove it (as root; 10 to 20 minutes)
 # make lock   renew requirements*.lock, the versions and hashes of what install.sh and a release install
 # make release  sdist, wheel, Debian packages, container images and list of packages, into build/release (as root)
 # make stored  keep files of this version for later versions' tests, in tests/stored
