@@ -216,8 +216,10 @@ load_rules() {
 # It has the bus and the port for itself before the start; after an upgrade it asks the bridge that runs.
 find_faults() {
     say "Looking for what is wrong: msp-range doctor"
-    FAULTS=$(runuser -u msp-range -- "$OPT/venv/bin/msp-range" doctor "$ETC/airframe.yaml" 2>&1 |
-        awk '/^(right|wrong|unknown) / { is_wrong = /^wrong/ } /^$/ { is_wrong = 0 } is_wrong') || true
+    local all code=0
+    all=$(runuser -u msp-range -- "$OPT/venv/bin/msp-range" doctor "$ETC/airframe.yaml" 2>&1) || code=$?
+    FAULTS=$(awk '/^(right|wrong|unknown) / { is_wrong = /^wrong/ } /^$/ { is_wrong = 0 } is_wrong' <<<"$all")
+    [ $code = 0 ] || [ "$FAULTS" ] || FAULTS=$all  # doctor itself failed
 }
 
 report() {
