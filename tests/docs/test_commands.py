@@ -96,8 +96,8 @@ NO_OPTIONS = {"--help", "--before-", "--nthreads", "--nworkers", "--start", "--e
 NO_OPTIONS |= {"--no-pager", "--lines", "--output"}
 NO_OPTIONS |= {"--quiet", "--disable-pip-version-check", "--no-cache-dir", "--no-deps", "--require-hashes"}
 NO_OPTIONS |= {"--only-binary", "--find-links", "--requirement", "--priority"}
-"""Options of every command, of programs of others (Dask, mcap, systemctl, journalctl, pip), and what only looks like one;
---unit is one of the page's process."""
+"""Options of every command, of programs of others (Dask, mcap, systemctl, journalctl, pip), and what only looks
+like one; --unit is one of the page's process."""
 INTAKE = ("import", "gap", "compare")
 """Commands that read measurements: a hint of what they share has to hold in each of them."""
 
