@@ -4,8 +4,8 @@
 # make test-all   run all tests: also more cases, statistics, long waits, and tests of the tests' own tools
 # make check  what CI runs: format, lint, types, layers, then all tests
 # make docs   build the site of the documents into build/site/html; a broken link or a missing page fails
-# make test-install  install on a Debian with a real systemd, break, upgrade and remove it (as root; 5 minutes)
-# make lock   renew requirements.lock, the versions and hashes of what install.sh and a release install
+# make test-install  install on Debians with a real systemd, break, upgrade and remove it (as root; 10 to 20 minutes)
+# make lock   renew requirements*.lock, the versions and hashes of what install.sh and a release install
 # make release  sdist, wheel, Debian packages, container images and list of packages, into build/release (as root)
 # make stored  keep files of this version for later versions' tests, in tests/stored
 # make bench  run all benchmarks, and write the table in docs/figures.md; ONLY='start page' runs these and writes nothing
@@ -45,6 +45,7 @@ test-all: .venv/.installed-test compile mavproxy
 
 test-install: .venv/.installed-test
 	$(BIN)/python -m evaluation install
+	$(BIN)/python -m evaluation package
 
 docs: .venv/.installed-test
 	$(BIN)/python docs/site/build.py
@@ -58,11 +59,16 @@ lint: .venv/.installed-test
 check: lint
 	$(MAKE) test-all
 
-# What the service needs, and what its package is built with; the newest versions that go together.
+# What the service needs, and what its package is built with; the newest versions that go together. Then what the extra
+# that an airframe may need adds to these (msp_range/extras.py).
 lock: .venv/.installed-test
 	echo 'setuptools>=77' | PATH="$$PATH:$(BIN)" uv pip compile pyproject.toml - --extra web --universal --python-version 3.11 \
 		--only-binary :all: --no-emit-package colorama --generate-hashes --upgrade --quiet --no-annotate \
 		--custom-compile-command 'make lock' --output-file requirements.lock
+	PATH="$$PATH:$(BIN)" uv pip compile pyproject.toml --extra kalman --universal --python-version 3.11 \
+		--only-binary :all: --generate-hashes --upgrade --quiet --no-annotate --constraint requirements.lock \
+		$$(sed -n 's/^\([a-z0-9.-]*\)==.*/--no-emit-package \1/p' requirements.lock) --no-emit-package colorama \
+		--custom-compile-command 'make lock' --output-file requirements-kalman.lock
 
 release: .venv/.installed-test
 	$(BIN)/python -m release

@@ -24,8 +24,8 @@ usage: sudo ./install.sh [--airframe NAME|FILE] [--no-web|--web-on-network] [--u
 
 Installs msp-range as a service: programs in $OPT, the airframe file in $ETC, recordings in $STATE.
 
-  --airframe NAME|FILE  start from this example of configs/ (such as quad_pallet), or from this file; otherwise it asks.
-                        An airframe file that exists is kept
+  --airframe NAME|FILE  start from this example of configs/ (such as quad_pallet), or from this file; otherwise it asks
+                        a few questions about the vehicle. An airframe file that exists is kept
   --no-web              without the web page (port 8642 of this computer); an upgrade keeps that choice
   --web-on-network      other devices in the same network reach the page, by an address with a token: msp-range web on
   --upgrade             replace the programs of an installation; configuration and recordings stay
@@ -87,16 +87,12 @@ check_python() {
         refuse "needs Python 3.11 or later (Debian 12, Ubuntu 24.04); found $(python3 --version)"
 }
 
-choose_airframe() {
+# Before anything is changed: is it known which airframe file is meant, or is there a person to ask?
+check_airframe() {
     [ -e "$ETC/airframe.yaml" ] && { [ -z "$AIRFRAME" ] || say "$ETC/airframe.yaml is kept; --airframe is not used"; return; }
     if [ -z "$AIRFRAME" ]; then
         [ -t 0 ] || refuse "which airframe? Name an example or a file: --airframe NAME, one of: $(examples | xargs)" 2
-        say "Which airframe is most like yours? (the file $ETC/airframe.yaml can be changed afterwards)"
-        local PS3="number: "
-        select AIRFRAME in $(examples); do [ -z "$AIRFRAME" ] || break; done
-        [ "$AIRFRAME" ] || refuse "no airframe chosen" 2
-    fi
-    if [ ! -f "$AIRFRAME" ]; then
+    elif [ ! -f "$AIRFRAME" ]; then
         [ -f "$SOURCE/configs/${AIRFRAME%.yaml}.yaml" ] ||
             refuse "--airframe $AIRFRAME: neither a file nor an example; the examples: $(examples | xargs)" 2
         AIRFRAME=$SOURCE/configs/${AIRFRAME%.yaml}.yaml
@@ -125,23 +121,30 @@ install_programs() {
     NEW=$OPT/venv-$(date -u +%Y%m%dT%H%M%S)
     OLD=$(readlink "$OPT/venv" 2>/dev/null || true)
     say "Installing the programs into $NEW"
-    run mkdir -p "$OPT" "$ETC"
     [ "$DRY_RUN" ] && { say "would run: python3 -m venv, pip install $SOURCE"; return; }
-    trap 'rm -rf "$NEW" "${COPY:-}"' EXIT
     # A copy: the build leaves no files of root's in the clone, and finds none of an earlier one there.
-    COPY=$(mktemp -d)
+    COPY=$(mktemp -d) UNUSED=$NEW
+    trap 'rm -rf "$COPY" "$UNUSED"; rmdir "$OPT" 2>/dev/null || true' EXIT
     (cd "$SOURCE" && cp -a pyproject.toml README.md LICENSE bin configs msp_range sim "$COPY")
     python3 -m venv "$NEW"
     # Ready packages of the versions that were tested, checked by their hashes: as root, nothing else is downloaded.
     local pip=("$NEW/bin/python" -m pip --quiet --disable-pip-version-check install --no-cache-dir --compile)
     "${pip[@]}" --require-hashes --only-binary :all: -r "$SOURCE/requirements.lock"
     "${pip[@]}" --no-deps --no-index --no-build-isolation "$COPY"
+    cp "$SOURCE"/requirements-*.lock "$NEW"
     local airframe=$ETC/airframe.yaml
-    [ -e "$airframe" ] || { airframe=$COPY/etc/airframe.yaml; copy_configuration "$COPY/etc"; }
-    "$NEW/bin/msp-range" check "$airframe" >/dev/null ||
+    if [ ! -e "$airframe" ]; then
+        if [ -z "$AIRFRAME" ]; then
+            say "What is most like your vehicle? The file $airframe can be changed afterwards."
+            "$NEW/bin/msp-range" airframes --into "$COPY/chosen" >/dev/null
+            AIRFRAME=$COPY/chosen/airframe.yaml
+        fi
+        airframe=$COPY/etc/airframe.yaml
+        copy_configuration "$COPY/etc"
+    fi
+    { "$NEW/bin/msp-range" extras --airframe "$airframe" && "$NEW/bin/msp-range" check "$airframe"; } >/dev/null ||
         refuse "this version cannot use ${AIRFRAME:-$airframe} (above); nothing was changed"
-    rm -rf "$COPY"
-    trap - EXIT
+    UNUSED=''
 }
 
 # Copy a file; where it was edited since this script wrote it, put the new one next to it.
@@ -189,8 +192,7 @@ start_web() {
     run systemctl enable --quiet msp-range-web 2>/dev/null || true
     has_systemd || { [ -z "$ON_NETWORK" ] || say "When it runs: sudo msp-range web on"; return 0; }
     run systemctl restart msp-range-web || { say "the page does not start: journalctl -u msp-range-web -n 20"; return; }
-    [ "$ON_NETWORK" ] || { say "The page for a phone in the same network: sudo msp-range web on"; return; }
-    run "$COMMAND" web on || say "the page is not on the network: sudo msp-range web on"
+    run "$COMMAND" web ${ON_NETWORK:+on} || say "the page is not on the network: sudo msp-range web on"
 }
 
 switch_to() {
@@ -204,20 +206,29 @@ load_rules() {
     run systemctl daemon-reload
     # A container has no modules and no udev.
     while read -r module; do
-        case $module in '' | '#'*) ;; *) run modprobe -q "$module" || true ;; esac
+        case $module in '' | '#'*) ;; *) run modprobe -q "$module" 2>/dev/null || true ;; esac
     done <"$SOURCE/systemd/msp-range.modules"
     if run udevadm control --reload 2>/dev/null; then
         run udevadm trigger --subsystem-match=i2c-dev --subsystem-match=tty || true
     fi
 }
 
-# Needs the bus and the port to itself; an upgrade is not to interrupt the distances for that long.
+# It has the bus and the port for itself before the start; after an upgrade it asks the bridge that runs.
+find_faults() {
+    say "Looking for what is wrong: msp-range doctor"
+    local all code=0
+    all=$(runuser -u msp-range -- "$OPT/venv/bin/msp-range" doctor "$ETC/airframe.yaml" 2>&1) || code=$?
+    FAULTS=$(awk '/^(right|wrong|unknown) / { is_wrong = /^wrong/ } /^$/ { is_wrong = 0 } is_wrong' <<<"$all")
+    [ $code = 0 ] || [ "$FAULTS" ] || FAULTS=$all  # doctor itself failed
+}
+
 report() {
-    ! has_systemd || ! systemctl -q is-active msp-range || return 0
-    say ""
-    say "What 'msp-range doctor' finds (it changes nothing):"
-    run runuser -u msp-range -- "$OPT/venv/bin/msp-range" doctor "$ETC/airframe.yaml" || true
-    say ""
+    if [ -z "$FAULTS" ]; then
+        say "msp-range doctor finds nothing wrong."
+    else
+        say "Wrong now, and what to do ('msp-range doctor' shows all that it looked at):"
+        say "$FAULTS"
+    fi
 }
 
 start() {
@@ -226,9 +237,10 @@ start() {
         say "systemd is not running here: the service starts at the next boot"
         return
     fi
+    [ "$DRY_RUN" ] || systemctl -q is-active msp-range || find_faults
     run systemctl enable --quiet msp-range
     if run systemctl restart msp-range; then
-        say "msp-range is running. What it does: journalctl -u msp-range -f"
+        [ "$DRY_RUN" ] || [ "${FAULTS+examined}" ] || find_faults
         return
     fi
     systemctl --no-pager --lines 20 status msp-range || true
@@ -239,6 +251,7 @@ start() {
         refuse "the new version does not start (above); the old one is back" 1
     fi
     start_web  # it says why, too
+    [ -z "${FAULTS-}" ] || report
     refuse "the service does not start (above)" 1
 }
 
@@ -251,18 +264,27 @@ remove_old() {
 install_all() {
     [ ! -e $UNIT ] || [ -e $WEB_UNIT ] || [ "$ON_NETWORK" ] || has_own_page || NO_WEB=1
     [ -z "$UPGRADE" ] || [ -e "$OPT/venv" ] || refuse "nothing is installed in $OPT; leave out --upgrade"
+    check_airframe
     check_python
-    choose_airframe
-    make_user
     install_programs
+    make_user
     install_files
     switch_to "$NEW"
     load_rules
-    report
     start
-    start_web
     remove_old
-    say "Airframe file: $ETC/airframe.yaml (after a change: msp-range check, then systemctl reload msp-range)"
+    say ""
+    start_web
+    say "Airframe file: $ETC/airframe.yaml (after a change: msp-range check, then sudo systemctl reload msp-range)"
+    [ -z "${FAULTS+examined}" ] || report
+    if [ "${FAULTS-}" ]; then
+        say "Next, when that is done: msp-range doctor"
+    elif [ -e "$ETC/airframe.commission.json" ]; then
+        say "Next: msp-range status"
+    else
+        say "Next, with the propellers off: sudo systemctl stop msp-range && sudo msp-range commission --phone"
+        say "and when it is through: sudo systemctl start msp-range"
+    fi
 }
 
 remove_all() {

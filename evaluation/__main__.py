@@ -27,6 +27,7 @@ EVALUATIONS = {
     "install": ("install.command", "install.sh and the service on a Debian that boots in a container"),
     "monte_carlo": ("benchmarks.bench_monte_carlo", "many flights and many gaps, on one worker and on two"),
     "others": ("others.command", "flights of four sensors with an effect on one, and the truth hidden"),
+    "package": ("install.package", "the Debian package on Debians that boot in a container"),
     "power": ("blind_peers.power", "the smallest bias that each method finds"),
     "real": ("real.run", "other people's measured readings, through the gap workflow"),
     "real_analysis": ("real.analysis", "what is in those readings, by an analysis of its own"),

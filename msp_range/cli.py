@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from typer import Argument, Exit, Option, Typer, confirm
 
-from msp_range.options import AirframeFile, LinkOption, PortOption
+from msp_range.options import AirframeFile, LinkOption, PortOption, shipped
 from msp_range.params.cli import params, sign
 from msp_range.plugins import installed, load_entry
 from msp_range.recordings_cli import export, layout, recover, replay, tune
@@ -286,6 +286,58 @@ def web(
     if switch is not None:
         network.switch(switch == "on")
     network.show()
+
+
+@app.command()
+def airframes(
+    name: Annotated[
+        str | None, Argument(help="the one to write; default: by questions", autocompletion=shipped(""))
+    ] = None,
+    into: Annotated[
+        Path | None, Option(metavar="FOLDER", help="write airframe.yaml and the sensor models that it names there")
+    ] = None,
+) -> None:
+    """List the airframes that come with the program; with --into, choose one and write it where it can be changed.
+
+    For the service, as install.sh does: sudo msp-range airframes --into /etc/msp-range
+    """
+    from msp_range.airframes import ask_at_terminal, choose, described, shipped_airframes, write_into
+
+    known = shipped_airframes()
+    if name is not None and name not in known:
+        raise ConfigError(f"airframes: found {name}; expected one of {', '.join(known)}")
+    if into is None:
+        print("\n".join(described({name: known[name]} if name else known)))
+        return
+    for path in write_into(known[name or choose(known, ask_at_terminal)], into):
+        print(f"written: {path}")
+
+
+@app.command()
+def extras(
+    names: Annotated[
+        list[str] | None,
+        Argument(metavar="[NAME]...", help="such as kalman; default: those that the airframe file needs"),
+    ] = None,
+    airframe_file: Annotated[
+        Path, Option("--airframe", metavar="AIRFRAME.yaml", help="the vehicle, where no name is given")
+    ] = SERVICE_AIRFRAME,
+) -> None:
+    """Install optional packages into a vehicle's installation, each checked by its hash; needs root and a network.
+
+    install.sh and upgrades do it for the airframe file. Afterwards: sudo systemctl reload msp-range
+    """
+    from msp_range.extras import install, missing
+
+    if names is None:
+        from msp_range.config import read_airframe
+
+        names = [each for each in read_airframe(airframe_file).extras if missing(each) is not None]
+        if not names:
+            print(f"{airframe_file} needs no packages that are not there")
+    for name in names:
+        install(name)
+        print(f"{name}: installed")
 
 
 app.command()(params)

@@ -243,15 +243,14 @@ class Airframe(Section):
         if self.send.fused is not None:
             self._check_fused()
         self._check_orientations()
-        self._check_filters()
         return self
 
-    def _check_filters(self) -> None:
+    @property
+    def extras(self) -> tuple[str, ...]:
+        """Optional packages that it needs, keys of `msp_range.extras.EXTRAS`."""
         # Only a sensor with a stream of its own has a chain of filters.
-        if self.sent_names and any(parameters.filter == "kalman" for parameters in self.filters):
-            absent = missing("kalman")
-            if absent is not None:
-                raise ValueError(f"filters: kalman requires {absent}; or use another filter, such as changepoint")
+        is_kalman = self.sent_names and any(parameters.filter == "kalman" for parameters in self.filters)
+        return ("kalman",) if is_kalman else ()
 
     def _check_groups(self, names: list[str]) -> None:
         if self.polling.groups is None:
@@ -390,6 +389,15 @@ def load_airframe(path: Path | str) -> Airframe:
     >>> [sensor.name for sensor in load_airframe("quad_pallet").sensors]
     ['front_left', 'front_right', 'rear_left', 'rear_right']
     """
+    airframe = read_airframe(path)
+    for extra in airframe.extras:
+        if (absent := missing(extra)) is not None:
+            raise ConfigError(f"{path}: filters: {extra} requires {absent}; or use another filter, such as changepoint")
+    return airframe
+
+
+def read_airframe(path: Path | str) -> Airframe:
+    """As `load_airframe`, also where packages are missing that the airframe needs."""
     given, path = path, config_path(path, "")
     airframe = load(path, Airframe)
     files = {AIRFRAME_NAME: read_config(path)}

@@ -22,6 +22,7 @@ from msp_range.bus.smbus import KernelBus
 from msp_range.clock import Clock, SystemClock
 from msp_range.config import Airframe
 from msp_range.correction.thermometer import ThreadReader
+from msp_range.health.verdict import BridgeState
 from msp_range.log import Log
 from msp_range.mavlink.signing import signing_of
 from msp_range.mavlink.transport import Transport, open_transport
@@ -155,7 +156,8 @@ def serve(
             link_log.update()
         if now_s >= next_summary_s:
             next_summary_s += SUMMARY_INTERVAL_S
-            log.info("still flying", **_summary(bridge, transport))
+            event = "still flying" if bridge.link.autopilot_armed else "still running"
+            log.info(event, **_summary(bridge, transport))
     log.info("stopped by signal", signal=signal.Signals(stopped[0]).name, **_summary(bridge, transport))
     notify_systemd("STOPPING=1")
 
@@ -178,9 +180,8 @@ class _LinkLog:
         verdict = self._bridge.verdict
         if verdict.state != self._verdict:
             self._verdict = verdict.state
-            self._log.info(
-                verdict.state.value, reasons=[finding.text for finding in verdict.findings if finding.cause is None]
-            )
+            write = self._log.warning if verdict.state is BridgeState.CRITICAL else self._log.info
+            write(verdict.state.value, reasons=[finding.text for finding in verdict.findings if finding.cause is None])
         state = transport.connected, transport.last_error
         if state != self._state:
             self._state = state

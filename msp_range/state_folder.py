@@ -8,6 +8,8 @@ SERVICE_USER = "msp-range"
 """The user of the service, made by install.sh."""
 SERVICE_AIRFRAME = Path("/etc/msp-range/airframe.yaml")
 """The service's airframe file, made by install.sh: that of each command which is given none."""
+CHOOSE_AIRFRAME = f"sudo msp-range airframes --into {SERVICE_AIRFRAME.parent}"
+"""The command that makes it by questions."""
 
 
 def state_folder() -> Path:

@@ -19,7 +19,7 @@ from pydantic_core import CoreSchema
 from msp_range.descriptions import descriptions
 from msp_range.errors import UserError
 from msp_range.input_file import printable, read_text
-from msp_range.state_folder import SERVICE_AIRFRAME
+from msp_range.state_folder import CHOOSE_AIRFRAME, SERVICE_AIRFRAME
 from msp_range.yaml_loader import load_yaml
 
 SHIPPED = Path(__file__).parent / "configs"
@@ -131,7 +131,7 @@ def read_config(path: Path) -> str:
         near = difflib.get_close_matches(path.name, names, n=1)
         hint = f" (next to it there is {near[0]})" if near else ""
         if path == SERVICE_AIRFRAME:
-            hint = "; name the airframe file of your vehicle, or make this one with install.sh"
+            hint = f"; name the airframe file of your vehicle, or choose one: {CHOOSE_AIRFRAME}"
         raise ConfigError(f"{path}: no such file{hint}") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None

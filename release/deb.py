@@ -1,4 +1,4 @@
-"""The Debian package: all wheels that the lock pins, the files of systemd/ as install.sh installs them, and scripts.
+"""The Debian package: all wheels that requirements.lock pins, files of systemd/ as install.sh has them, and scripts.
 
 The package's script `debian/postinst` makes the environment from these wheels when it is installed, so the same package
 serves Debian 12 and 13, whose Pythons differ, without a network.
@@ -27,20 +27,15 @@ def make_deb(tree: Path, wheel: Path, machine: str, out: Path) -> Path:
         opt = root / "opt/msp-range"
         for python in DEBIAN_PYTHONS:
             download(tree / "requirements.lock", python, machine, opt / "wheels")
-        configs = {path: f"usr/share/msp-range/airframes/{path.name}" for path in (tree / "configs").glob("*.yaml")}
         sensors = {path: f"etc/msp-range/sensors/{path.name}" for path in (tree / "configs/sensors").glob("*.yaml")}
-        copies = (
-            configs
-            | sensors
-            | {
-                wheel: f"opt/msp-range/wheels/{wheel.name}",
-                tree / "requirements.lock": "opt/msp-range/requirements.lock",
-                tree / "LICENSE": "usr/share/doc/msp-range/copyright",
-                **{unit: f"usr/lib/systemd/system/{unit.name}" for unit in (tree / "systemd").glob("*.service")},
-                tree / "systemd/msp-range.rules": "usr/lib/udev/rules.d/70-msp-range.rules",
-                tree / "systemd/msp-range.modules": "usr/lib/modules-load.d/msp-range.conf",
-            }
-        )
+        copies = sensors | {
+            wheel: f"opt/msp-range/wheels/{wheel.name}",
+            **{lock: f"opt/msp-range/{lock.name}" for lock in tree.glob("requirements*.lock")},
+            tree / "LICENSE": "usr/share/doc/msp-range/copyright",
+            **{unit: f"usr/lib/systemd/system/{unit.name}" for unit in (tree / "systemd").glob("*.service")},
+            tree / "systemd/msp-range.rules": "usr/lib/udev/rules.d/70-msp-range.rules",
+            tree / "systemd/msp-range.modules": "usr/lib/modules-load.d/msp-range.conf",
+        }
         for source, place in copies.items():
             (root / place).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(source, root / place)

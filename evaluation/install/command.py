@@ -95,10 +95,16 @@ class Receiver:
 
 
 def snapshot(machine: Machine) -> str:
-    """All files of the container with their sizes and times, but for what systemd itself writes."""
+    """All folders of the container, and files with sizes and times, but for git's and those that systemd writes."""
     return machine.run(
-        "find /etc /opt /usr/local /var/lib /root -printf '%p %s %T@\\n' | sort | grep -v /var/lib/systemd"
+        "find /etc /opt /usr/local /var/lib /root -type d -printf '%p\\n' -o -printf '%p %s %T@\\n' | sort |"
+        " grep -v -e /var/lib/systemd -e /.git/"
     ).stdout
+
+
+def differences(before: str, after: str) -> str:
+    """Files and folders of which two snapshots say different things."""
+    return " ".join(sorted({line.split(" ")[0] for line in {*before.splitlines()} ^ {*after.splitlines()}}))
 
 
 def install(machine: Machine, receiver: Receiver) -> None:
@@ -124,15 +130,23 @@ def install(machine: Machine, receiver: Receiver) -> None:
         done = machine.run(f"cd msp-range && ./install.sh {options}", check=False)
         expect(done.returncode == code, f"install.sh {options}: exit code {code}, {done.stderr.splitlines()[-1]!r}")
     expect(snapshot(machine) == before, "and a wrong command line changes nothing")
+    # Nobody answers the question, and the person goes away.
+    done = machine.run("cd msp-range && script -qec ./install.sh /dev/null", check=False)
+    expect(done.returncode == 3 and "How many range finders" in done.stdout, "at a terminal it asks about the vehicle")
+    after = snapshot(machine)
+    expect(after == before, f"and without an answer changes nothing {differences(before, after)}".strip())
 
     start_s = time.monotonic()
     done = machine.run("cd msp-range && ./install.sh --airframe /root/airframe.yaml")
+    installed_s = time.monotonic() - start_s
     say(done.stdout)
-    expect("airframe.yaml: loopback" in done.stdout, "doctor reported before the start")
-    say(f"    installed in {time.monotonic() - start_s:.0f} s")
+    ending = done.stdout[done.stdout.index("Only this computer") :]
+    expect("http://127.0.0.1:8642/" in ending, "it ends with the address of the page,")
+    expect("wrong    I2C interface: there is no /dev/i2c-1" in ending, "what is wrong,")
+    expect("\nNext, when that is done: msp-range doctor" in ending, "and the next command")
+    say(f"    installed in {installed_s:.0f} s")
     expect(receiver.await_distance() < RESTARTED_S, "distances arrive")
-    megabytes = int(machine.run("du -sm /opt/msp-range").stdout.split()[0])
-    expect(megabytes <= MAX_INSTALLED_MB, f"{megabytes} MB in /opt/msp-range")
+    expect(megabytes(machine) <= MAX_INSTALLED_MB, f"{megabytes(machine)} MB in /opt/msp-range")
     pid = machine.show("MainPID")
     user = machine.run(f"stat -c %U /proc/{pid}").stdout.strip()
     expect(user == "msp-range", f"it runs as {user}")
@@ -147,6 +161,10 @@ def install(machine: Machine, receiver: Receiver) -> None:
     shown = machine.run("runuser -u nobody -- msp-range status || test $? = 4").stdout
     expect("distance down" in shown, "msp-range status shows it to any user")
     expect(is_served(machine), "the page is served")
+    line = machine.run("journalctl -u msp-range -o short-iso --no-pager | grep -m 1 started").stdout.strip()
+    expect(len(re.findall(r"\d\d:\d\d:\d\d", line)) == 1, f"one time in a line of the journal: {line!r}")
+    priorities = machine.run('journalctl -u msp-range -o json --no-pager | grep -c \'"PRIORITY":"4"\'').stdout
+    expect(int(priorities) > 0, "which knows what is a warning")
     exposure = machine.run("systemd-analyze security --no-pager msp-range-web").stdout.splitlines()[-1]
     expect(float(re.findall(r": ([0-9.]+)", exposure)[0]) <= MAX_EXPOSURE, exposure.strip())
     pages = machine.run("pgrep -f msp_range.web").stdout.split()
@@ -185,7 +203,7 @@ def has_a_unit_of_before(machine: Machine, receiver: Receiver) -> None:
     """The page was a part of the bridge's unit, and becomes one of its own."""
     unit = "/etc/systemd/system/msp-range.service"
     machine.run("systemctl disable -q --now msp-range-web; rm /etc/systemd/system/msp-range-web.service")
-    machine.run(f"sed -i 's/--log json$/& --web 8642/' {unit}; sha256sum {unit} >>/opt/msp-range/installed.sha256")
+    machine.run(f"sed -i 's/^ExecStart=.*/& --web 8642/' {unit}; sha256sum {unit} >>/opt/msp-range/installed.sha256")
     machine.run("systemctl daemon-reload; systemctl restart msp-range")
     Machine.until("page", lambda: is_served(machine))
     machine.run("cd msp-range && ./install.sh --upgrade")
@@ -250,16 +268,22 @@ def probed(machine: Machine) -> dict[str, str]:
     return dict(results[-len(DEVICES) - len(OTHERS) :])
 
 
+def megabytes(machine: Machine) -> int:
+    """Disk that the installation takes [MB]."""
+    return int(machine.run("du -sm /opt/msp-range").stdout.split()[0])
+
+
 def resident(machine: Machine, pid: str) -> int:
     """Resident memory of a process [MB]."""
     return int(machine.run(f"awk '/VmRSS/ {{print $2}}' /proc/{pid}/status").stdout) // 1024
 
 
 def has_wheels() -> None:
-    """Every package of the lock file as a wheel whose hash it has: nothing is compiled on the vehicle's computer."""
+    """Every package of the lock files as a wheel with its hash: nothing is compiled on the vehicle's computer."""
     for python, machine in product(PYTHONS, MACHINES):
         with TemporaryDirectory() as folder:
-            download(ROOT / "requirements.lock", python, machine, Path(folder))
+            for lock in ROOT.glob("requirements*.lock"):
+                download(lock, python, machine, Path(folder))
         expect(True, f"wheels for Python {python} on {machine}")
 
 
@@ -342,6 +366,28 @@ def has_an_invalid_file(machine: Machine, receiver: Receiver) -> None:
     receiver.await_distance()
 
 
+def needs_an_extra(machine: Machine, receiver: Receiver) -> None:
+    """The airframe file is changed to one with a Kalman filter; what check advises is done as it stands there."""
+    airframe = machine.root / "etc/msp-range/airframe.yaml"
+    text = airframe.read_text()
+    new = "send:\n  sensors: [front_left]\nfilters: [{filter: kalman}]\n"
+    airframe.write_text(re.sub(r"send:\n  fused:.*\n", new, text))
+    refused = machine.run("msp-range check", check=False)
+    remedy = re.findall("(sudo msp-range extras .*);", refused.stderr)
+    expect(refused.returncode == 3 and len(remedy) == 1, f"check refuses it: {refused.stderr.strip()!r}")
+    start_s = time.monotonic()
+    machine.run(f"{SUDO}; {remedy[0]}")
+    say(f"    installed in {time.monotonic() - start_s:.0f} s, {megabytes(machine)} MB")
+    machine.run("msp-range check && systemctl reload msp-range")
+    receiver.await_distance()
+    machine.run("cd msp-range && ./install.sh --upgrade")
+    receiver.await_distance()
+    machine.run(f"{OPT_PYTHON} -c 'import filterpy'")
+    say("    ok: an upgrade brings it, too")
+    airframe.write_text(text)
+    machine.run("systemctl reload msp-range")
+
+
 def is_upgraded(machine: Machine, receiver: Receiver) -> None:
     """A newer version, with files that the owner has edited; then one that does not start, and one that cannot read."""
     kept = recordings(machine)
@@ -407,6 +453,16 @@ def is_removed(machine: Machine) -> None:
     expect(machine.run("id msp-range", check=False).returncode != 0, "and no user")
 
 
+def asks_at_a_terminal(machine: Machine) -> None:
+    """The answers of a person: four sensors that look down, not canted, an autopilot on a serial port."""
+    machine.run("sed -i '/^raise SystemExit/d' msp-range/msp_range/config.py")  # as it was before is_upgraded
+    done = machine.run(r"cd msp-range && printf '2\n2\n2\n1\n' | script -qec './install.sh --no-web' /dev/null")
+    say(done.stdout)
+    chosen = machine.run("runuser -u msp-range -- cat /etc/msp-range/airframe.yaml").stdout
+    expect(chosen == (ROOT / "configs/quad_pallet.yaml").read_text(), "the service reads quad_pallet")
+    expect(machine.show("ActiveState") == "active", "and runs")
+
+
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument("--suite", default="bookworm", help="Debian release (default: %(default)s)")
@@ -441,6 +497,7 @@ def main(given: argparse.Namespace) -> int:
             has_an_invalid_file,
             is_reached_by_a_phone,
             has_a_unit_of_before,
+            needs_an_extra,
             is_upgraded,
             boots_again,
         ):
@@ -448,6 +505,8 @@ def main(given: argparse.Namespace) -> int:
             step(machine, receiver)
         say(f"is removed: {is_removed.__doc__}")
         is_removed(machine)
+        say(f"asks at a terminal: {asks_at_a_terminal.__doc__}")
+        asks_at_a_terminal(machine)
     except (AssertionError, RuntimeError, subprocess.TimeoutExpired) as error:
         say(f"FAILED: {error}")
         if machine.leader:

@@ -19,7 +19,7 @@ from msp_sim.device.mb1242 import TIMING
 from tests.support.waiting import LIMIT_S, until
 
 PACKAGES = (
-    "systemd,systemd-sysv,dbus,udev,python3,python3-venv,git,make,ca-certificates,procps,"
+    "systemd,systemd-sysv,dbus,udev,passwd,python3,python3-venv,git,make,ca-certificates,procps,"
     "umockdev,python3-gi,gir1.2-umockdev-1.0"
 )
 """What the container has: all that the documents ask for, and umockdev for the sensors."""

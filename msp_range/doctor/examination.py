@@ -27,6 +27,7 @@ from msp_range.mavlink.transport import Transport, open_transport
 from msp_range.mavlink.transport.url import SerialUrl, parse_url
 from msp_range.pilot_texts import Text
 from msp_range.plausible import doubts
+from msp_range.state_folder import CHOOSE_AIRFRAME
 from msp_range.watch.client import connect, read_once
 from msp_range.watch.newest import Newest
 from msp_range.watch.place import sockets
@@ -116,7 +117,7 @@ def examine(
     except ConfigError as error:
         remedy = f"correct it; msp-range check {path} shows the rest"
         if not os.path.exists(path):
-            remedy = "name your airframe file: msp-range doctor AIRFRAME.yaml; install.sh makes that of the service"
+            remedy = f"name your airframe file: msp-range doctor AIRFRAME.yaml; that of the service: {CHOOSE_AIRFRAME}"
         yield wrong("airframe file", str(error), remedy)
         return
     yield right("airframe file", f"{path}: {airframe.vehicle}")

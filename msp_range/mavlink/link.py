@@ -186,9 +186,10 @@ class Link:
         found = self._participants.conditions(now_s)
         missing = Text.NO_AUTOPILOT.when(now_s - max(self._heartbeat_s, self._start_s) >= AUTOPILOT_LOST_S)
         if missing.text is not None:
-            state = "no heartbeat comes in" if transport.connected else transport.last_error or "nobody has connected"
-            how = f"{transport.description}: {state}; check wires, port, baud rate and the autopilot's settings of it"
-            missing = missing._replace(remedy=how)
+            state = "no heartbeat comes in" if transport.connected else "nobody has connected"
+            error = None if transport.connected else transport.last_error  # which begins with the description
+            how = error or f"{transport.description}: {state}"
+            missing = missing._replace(remedy=f"{how}; check wires, port, baud rate and the autopilot's settings of it")
         found.append(missing)
         if self._signing is not None:
             found.append(Text.SIGNING_TIME.when(not self._signing.keeps_time))

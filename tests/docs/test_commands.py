@@ -94,8 +94,10 @@ def options_of(*commands: Any) -> list[set[str]]:
 DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 NO_OPTIONS = {"--help", "--before-", "--nthreads", "--nworkers", "--start", "--end", "--now", "--unit"}
 NO_OPTIONS |= {"--no-pager", "--lines", "--output"}
-"""Options of every command, of programs of others (Dask, mcap, systemctl, journalctl), and what only looks like one;
---unit is one of the page's process."""
+NO_OPTIONS |= {"--quiet", "--disable-pip-version-check", "--no-cache-dir", "--no-deps", "--require-hashes"}
+NO_OPTIONS |= {"--only-binary", "--find-links", "--requirement", "--priority"}
+"""Options of every command, of programs of others (Dask, mcap, systemctl, journalctl, pip), and what only looks
+like one; --unit is one of the page's process."""
 INTAKE = ("import", "gap", "compare")
 """Commands that read measurements: a hint of what they share has to hold in each of them."""
 

@@ -60,7 +60,13 @@ def test_the_sdist_has_what_the_service_is_installed_from(built: Path) -> None:
     (sdist,) = built.glob("*.tar.gz")
     with tarfile.open(sdist) as file:
         held = {name.partition("/")[2] for name in file.getnames()}
-    assert {"install.sh", "systemd/msp-range.service", "docs/installing.md", "configs/quad_pallet.yaml"} <= held
+    assert {
+        "install.sh",
+        "requirements-kalman.lock",
+        "systemd/msp-range.service",
+        "docs/installing.md",
+        "configs/quad_pallet.yaml",
+    } <= held
     assert "msp_range/configs/quad_pallet.yaml" in held
 
 

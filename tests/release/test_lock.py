@@ -9,6 +9,8 @@ from release import ROOT
 from release.wheels import MACHINES, PYTHONS, pins
 
 LOCK = (ROOT / "requirements.lock").read_text(encoding="utf-8")
+KALMAN = (ROOT / "requirements-kalman.lock").read_text(encoding="utf-8")
+"""What the extra adds."""
 
 
 @pytest.mark.parametrize("machine", MACHINES)
@@ -25,9 +27,15 @@ def test_it_has_a_version_that_the_project_accepts_and_hashes_for_each_requireme
     for requirement in map(Requirement, required):
         pin = lines[requirement.name].split(" ")[0]
         assert requirement.specifier.contains(pin.partition("==")[2]), (pin, str(requirement))
-    assert all(" --hash=sha256:" in line for line in lines.values())
+    added = {line.partition("==")[0]: line for line in pins(KALMAN, python, machine)}
+    assert not added.keys() & lines.keys()
+    for requirement in map(Requirement, project["optional-dependencies"]["kalman"]):
+        pin = added[requirement.name].split(" ")[0]
+        assert requirement.specifier.contains(pin.partition("==")[2]), (pin, str(requirement))
+    assert all(" --hash=sha256:" in line for line in (*lines.values(), *added.values()))
 
 
-def test_it_names_no_place_to_download_from() -> None:
-    assert "://" not in LOCK
-    assert "--index" not in LOCK
+@pytest.mark.parametrize("lock", [LOCK, KALMAN], ids=["service", "kalman"])
+def test_it_names_no_place_to_download_from(lock: str) -> None:
+    assert "://" not in lock
+    assert "--index" not in lock

@@ -105,7 +105,7 @@ def test_doctor_without_an_airframe_file_says_that_one_has_to_be_named(tmp_path:
 @pytest.mark.parametrize("command", ["run", "check", "params", "sign", "commission", "doctor"])
 def test_without_an_airframe_file_the_services_is_meant(command: str) -> None:
     result = run("msp-range", command, code=1 if command == "doctor" else 3)
-    expected = f"{SERVICE_AIRFRAME}: no such file; name the airframe file of your vehicle"
+    expected = f"{SERVICE_AIRFRAME}: no such file; name the airframe file of your vehicle, or choose one: "
     assert expected in " ".join(result.output.split())
 
 

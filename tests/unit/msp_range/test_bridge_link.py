@@ -190,3 +190,19 @@ def test_a_system_id_is_one_of_mavlinks(system_id: int, tmp_path: Path) -> None:
     path.write_text(text.replace("\nlink:\n", f"\nlink:\n  system_id: {system_id}\n"), encoding="utf-8")
     with pytest.raises(ConfigError, match=r"link\.system_id"):
         load_airframe(path)
+
+
+@pytest.mark.parametrize(
+    ("connected", "error", "why"),
+    [
+        (True, None, "wire: no heartbeat comes in;"),
+        (False, None, "wire: nobody has connected;"),
+        (False, "wire: there is no such port", "wire: there is no such port;"),
+    ],
+)
+def test_the_link_is_named_once_where_no_autopilot_is_received(connected: bool, error: str | None, why: str) -> None:
+    bench = Bench(airframe(), 300)
+    bench.wire.connected, bench.wire.last_error = connected, error
+    bench.fly(7.0)
+    (finding,) = (each for each in bench.bridge.verdict.findings if each.what == "autopilot")
+    assert finding.remedy == f"{why} check wires, port, baud rate and the autopilot's settings of it"

@@ -51,7 +51,7 @@ def test_the_drawing_shows_who_is_where(tmp_path: Path) -> None:
 
 
 def test_what_is_shown(tmp_path: Path) -> None:
-    vehicle = airframe("forward_and_down", tmp_path, ("link:", "recording: {folder: /data}\nlink:"))
+    vehicle = airframe("forward_and_down", tmp_path, ("/var/lib/msp-range", "/data"))
     text = "\n".join(lines(vehicle))
     for words in (
         f"msp-range params {tmp_path}/",

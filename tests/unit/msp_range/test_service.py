@@ -104,13 +104,16 @@ def test_only_a_transfer_keeps_the_watchdog_fed_and_not_for_ever(
     assert (len(messages) in fed, len(reported) in reports) == (True, True), (messages, reported)
 
 
-def test_the_log_says_once_how_the_link_is_and_each_minute_that_it_still_flies(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_log_has_each_change_of_the_link_and_each_minute_whether_the_vehicle_is_armed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     bench, log, link = Bench(airframe(), 300), io.StringIO(), Nowhere()
 
     def idle_or_end() -> list[object]:
         if bench.now() > 190.0:
             os.kill(os.getpid(), signal.SIGTERM)
         if bench.now() > 100.0:
+            bench.bridge.link.autopilot_armed = True
             monkeypatch.setattr(link, "connected", False)
             monkeypatch.setattr(link, "last_error", "cable out")
         bench.clock.sleep_until(bench.clock.now() + 0.05)
@@ -122,9 +125,18 @@ def test_the_log_says_once_how_the_link_is_and_each_minute_that_it_still_flies(m
     lines = [json.loads(each) for each in log.getvalue().splitlines()]
     assert [(each["event"], each["level"], each.get("error")) for each in lines] == [
         ("link", "info", None),
-        ("still flying", "info", None),
+        ("still running", "info", None),
         ("link", "warning", "cable out"),
         ("still flying", "info", None),
         ("still flying", "info", None),
         ("stopped by signal", "info", None),
     ]
+
+
+def test_a_critical_state_is_a_warning_in_the_log() -> None:
+    bench, lines = Bench(airframe(), 300), io.StringIO()
+    log = service._LinkLog(bench.bridge, Nowhere(), Log("json", lines))
+    bench.fly(7.0)  # without an autopilot
+    log.update()
+    critical = [json.loads(each) for each in lines.getvalue().splitlines() if '"critical"' in each]
+    assert [(each["level"], "no autopilot" in each["reasons"][0]) for each in critical] == [("warning", True)]
