@@ -25,6 +25,7 @@ from msp_range.commission.operator import EXPECTED_HEIGHT, height_of
 from msp_range.commission.session import Session
 from msp_range.errors import UserError
 from msp_range.input_file import printable
+from msp_range.terminal import wrapped
 from msp_range.watch.place import Listen
 from msp_range.web.access import refusal
 from msp_range.web.network import hosts, show_code
@@ -48,8 +49,8 @@ EVERYWHERE = "0.0.0.0"
 """As the host of `Listen`: on all networks."""
 
 
-def by_phone(session: Session, step: str | None, listen: Listen, out: TextIO) -> int:
-    """Do as `commission` does, with a page for ten minutes in place of the terminal; its exit code.
+def by_phone(session: Session, step: str | None, listen: Listen, out: TextIO) -> dict[str, Any]:
+    """Do as `commission` does, with a page for ten minutes in place of the terminal.
 
     Raises
     ------
@@ -68,13 +69,20 @@ def by_phone(session: Session, step: str | None, listen: Listen, out: TextIO) ->
         try:
             if page.ask(PROPELLERS, OFF, "no") != OFF:
                 raise ConfigError("take the propellers off, then the same command again; nothing was changed")
-            session.operator = PersonAtPhone(page)
-            code = commission(session, step, _Copied(out, page), as_json=False)
+            session.operator = PersonAtPhone(page, out)
+            report = commission(session, step)
         except UserError as error:
             page.say("end", str(error))
             raise
-        page.say("end", "All steps have passed." if code == 0 else "A step has not passed: see above.")
-    return code
+        page.say("end", _end_of(report))
+    return report
+
+
+def _end_of(report: dict[str, Any]) -> str:
+    for name, each in report["steps"].items():
+        if not each["passed"]:
+            return f"{name} has not passed: see below."
+    return "All steps have passed." if report["next"] is None else f"It has passed; next: {report['next']}."
 
 
 class PhonePage:
@@ -219,18 +227,26 @@ class PersonAtPhone:
     ----------
     page
         Where she reads and answers.
+    out
+        The terminal, which shows what was found too.
     """
 
-    def __init__(self, page: PhonePage) -> None:
-        self._page = page
+    def __init__(self, page: PhonePage, out: TextIO) -> None:
+        self._page, self._out = page, out
 
     def begin(self, text: str) -> None:
         """Explain a step, and wait until she is ready."""
         self._page.ask(" ".join(text.split()), "ready")
 
     def instruct(self, text: str) -> None:
-        """Say what is to be done from now on; the phone vibrates."""
+        """Show what is to be done from now on; the phone vibrates."""
         self._page.say("instruction", text)
+
+    def show(self, text: str) -> None:
+        """Show what was found, which the page breaks into lines itself."""
+        self._page.say("line", text.strip("\n"))
+        self._out.write("\n".join([*wrapped(text), ""]))
+        self._out.flush()
 
     def agrees(self, text: str) -> bool:
         """Ask with yes or no whether to make a change."""
@@ -245,27 +261,3 @@ class PersonAtPhone:
                 return height_m
             question = f"found {answer!r}; {EXPECTED_HEIGHT}"
         return None
-
-
-class _Copied:
-    """What is written to a terminal, and to the page as well.
-
-    Parameters
-    ----------
-    out
-        The terminal.
-    page
-        The page.
-    """
-
-    def __init__(self, out: TextIO, page: PhonePage) -> None:
-        self._out, self._page = out, page
-
-    def write(self, text: str) -> object:
-        """Write whole lines."""
-        self._page.say("line", text.strip("\n"))
-        return self._out.write(text)
-
-    def flush(self) -> None:
-        """Flush the terminal."""
-        self._out.flush()

@@ -4,7 +4,6 @@ The autopilot's attitude is its own estimate, by accelerometers and gyroscopes t
 sensors are emulated at their true places, over a flat floor.
 """
 
-import io
 import json
 import shutil
 from collections.abc import Iterator
@@ -41,10 +40,8 @@ def copter(tmp_path_factory: pytest.TempPathFactory) -> Iterator[HeldCopter]:
 
 def reported(session: Session, step: str) -> dict[str, Any]:
     """Do a step; its report."""
-    out = io.StringIO()
-    commission(session, step, out, as_json=True)
-    print(out.getvalue())
-    report: dict[str, Any] = json.loads(out.getvalue())["steps"][step]
+    report: dict[str, Any] = commission(session, step)["steps"][step]
+    print(json.dumps(report))
     return report
 
 

@@ -282,10 +282,15 @@ class Person(PersonAtTerminal):
         """Whether she does nothing that she is asked to."""
         self.asked: list[str] = []
         self.instructed: list[str] = []
+        self.shown: list[str] = []
         self.agrees_to: Callable[[str], bool] = lambda text: True
 
     def begin(self, text: str) -> None:
         """She has read it."""
+
+    def show(self, text: str) -> None:
+        """Read what was found."""
+        self.shown.append(text)
 
     def height_m(self, text: str) -> float | None:
         """Put it on a stand, and read the tape to some millimetres."""

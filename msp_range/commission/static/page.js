@@ -26,6 +26,7 @@ function answer(number, value) {
 function question({ text, number, answers }) {
   const form = byId("ask");
   form.hidden = false;
+  form.dataset.number = number;
   byId("now").textContent = text;
   if (answers.length) {
     form.replaceChildren(...answers.map((each, index) => made("button", each, {

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from msp_range.acoustics.air import FIXED, TWO_SIDED_95_PERCENT, ZERO_CELSIUS_K
+from msp_range.acoustics.air import FIXED, TWO_SIDED_95_PERCENT, ZERO_CELSIUS_K, source_in_words
 from msp_range.commission.edit import Edit
 from msp_range.commission.motion import Measured, NotMeasured, without_outliers
 from msp_range.commission.noise import compare_noise
@@ -276,7 +276,8 @@ def _air(airframe: Airframe, measured: Measured | None, assumed_c: float, source
     if measured is None:
         outcome.unknown("air temperature", "one height does not show it", "measure at a second height")
         return
-    text = f"by the distances the air has {shown(measured, 'C', 0)}; {assumed_c:.0f} C by the file, from {source}"
+    text = f"by the distances the air has {shown(measured, 'C', 0)}; used are {assumed_c:.0f} C, "
+    text += source_in_words(source)
     if not measured.differs_from(assumed_c, WARMER_C):
         outcome.right("air temperature", text)
         return

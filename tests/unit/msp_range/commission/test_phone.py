@@ -1,5 +1,6 @@
 """Who may answer on the phone's page, and for how long, by a client that is not a browser."""
 
+import io
 import json
 import socket
 from collections.abc import Iterator
@@ -104,7 +105,7 @@ def test_nothing_is_answered_once_the_time_is_over(opened: Opened) -> None:
 
 
 def test_a_button_pressed_twice_answers_one_question(opened: Opened) -> None:
-    person = PersonAtPhone(opened.page)
+    person = PersonAtPhone(opened.page, io.StringIO())
     first = opened.pool.submit(person.agrees, "first")
     client, _ = let_in(opened)
     number = said(client, "question")["number"]
@@ -117,7 +118,7 @@ def test_a_button_pressed_twice_answers_one_question(opened: Opened) -> None:
 
 
 def test_a_height_is_asked_for_until_it_is_one(opened: Opened) -> None:
-    answer = opened.pool.submit(PersonAtPhone(opened.page).height_m, "How high is it?")
+    answer = opened.pool.submit(PersonAtPhone(opened.page, io.StringIO()).height_m, "How high is it?")
     client, _ = let_in(opened)
     for typed in ("85", "0,85"):
         question = said(client, "question")
