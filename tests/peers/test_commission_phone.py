@@ -120,17 +120,15 @@ class Phone:
                 return
 
     def _answer(self, page: Page) -> None:
-        now = page.locator("#now")
-        asked = now.inner_text()
-        self.asked.append(asked)
+        self.asked.append(page.locator("#now").inner_text())
         self._look_at(page)
+        # The next question may have the same words.
+        number = page.locator("#ask").get_attribute("data-number")
         if page.locator("#ask input").count():
             page.fill("#ask input", f"{self._tape[-1] or ''}")
             page.click("#ask button:text('Send')")
         else:
             page.click("#ask button >> nth=0")
-        # The next question may have the same words.
-        number = page.locator("#ask").get_attribute("data-number")
         until(lambda: not page.locator(f"#ask:visible[data-number='{number}']").count(), BROWSER_STARTS_S)
 
     def _look_at(self, page: Page) -> None:
