@@ -7,7 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from queue import SimpleQueue
-from threading import Semaphore
+from threading import Semaphore, Thread
 from typing import Any
 
 import pytest
@@ -92,14 +92,23 @@ class Phone:
 
     def do(self, step: str | None = None) -> tuple[dict[str, Any], str]:
         """The command with somebody who agrees to everything on the phone; its report, and what the page lists."""
-        with ThreadPoolExecutor(1) as pool:
-            done = pool.submit(self.run, step)
-            self.code()
-            with browser(self.url, viewport=PHONE) as (page, errors):
-                self._answer_all(page, done)
-                log = page.locator("#log").inner_text()
-                assert errors == []
-            return done.result(LIMIT_S), log
+        self.out = io.StringIO()
+        done: Future[dict[str, Any]] = Future()
+
+        def run() -> None:
+            try:
+                done.set_result(self.run(step))
+            except BaseException as error:
+                done.set_exception(error)
+
+        # A command whose browser has failed would wait for ten minutes.
+        Thread(target=run, daemon=True).start()
+        self.code()
+        with browser(self.url, viewport=PHONE) as (page, errors):
+            self._answer_all(page, done)
+            log = page.locator("#log").inner_text()
+            assert errors == []
+        return done.result(LIMIT_S), log
 
     def _answer_all(self, page: Page, done: "Future[dict[str, Any]]") -> None:
         """Give the code, and answer as a person does who agrees to everything, until it ends."""

@@ -4,6 +4,7 @@ import math
 import os
 import shlex
 import socket
+import time
 from pathlib import Path
 from typing import ClassVar
 
@@ -155,6 +156,25 @@ class ArduCopter(Autopilot):
             )
             for time_s, status in self.station.all("SYS_STATUS")
         ]
+
+    def parameter(self, name: str) -> float:
+        """The value that it reports of a parameter."""
+        first_s = time.monotonic()
+        self.station.send(mavlink.MAVLink_param_request_read_message(1, 1, name.encode(), -1))
+
+        def values() -> list[float]:
+            return [
+                message.param_value
+                for time_s, message in self.station.all("PARAM_VALUE")
+                if time_s > first_s and message.param_id == name
+            ]
+
+        return self.station.wait(name, values)[-1]
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Set a parameter, and see that it has it."""
+        self.station.send(mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, mavlink.MAV_PARAM_TYPE_REAL32))
+        assert abs(self.parameter(name) - value) < 1e-6, name
 
     def flies_as_commanded(self) -> bool:
         return self.station.is_armed() and self.mode() == self.GUIDED

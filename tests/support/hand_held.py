@@ -283,6 +283,8 @@ class Person(PersonAtTerminal):
         self.asked: list[str] = []
         self.instructed: list[str] = []
         self.shown: list[str] = []
+        self.when: dict[str, Callable[[], object]] = {}
+        """What happens at an instruction, by its text."""
         self.agrees_to: Callable[[str], bool] = lambda text: True
 
     def begin(self, text: str) -> None:
@@ -308,6 +310,7 @@ class Person(PersonAtTerminal):
     def instruct(self, text: str) -> None:
         """Move the vehicle as the instruction's first words say."""
         self.instructed.append(text)
+        self.when.get(text, bool)()
         if self.is_idle:
             return
         vehicle, draw = self._vehicle, self._draw
