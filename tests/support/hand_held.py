@@ -170,10 +170,10 @@ class HandHeld:
         """Time since the start [s]."""
         return self.clock.now() - self._start_s
 
-    def _under_a_hand(self, name: str, echo: Callable[[float], int], minimum_cm: int) -> Callable[[float], int]:
+    def _under_a_hand(self, name: str, echo: Callable[[float], float], minimum_cm: int) -> Callable[[float], float]:
         axis = next(sensor.boresight for sensor in self.mounted.sensors if sensor.name == name)
 
-        def answer(ping_s: float) -> int:
+        def answer(ping_s: float) -> float:
             reading_cm = self.walls_cm.get(name, echo(ping_s))
             if self.board is not None:
                 pitch, yaw = (math.radians(each) for each in SIDES[self.board])
