@@ -13,7 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from msp_range.bus.smbus import BusInUse
 from msp_range.clock import Clock, VirtualClock
+from msp_range.commission import command
 from msp_range.commission.command import commission
 from msp_range.commission.session import Session
 from msp_range.commission.state import PassedSteps
@@ -293,14 +295,56 @@ def test_nothing_goes_on_while_the_vehicle_is_armed(tmp_path: Path) -> None:
     assert vehicle.path.read_text() == SWAPPED
 
 
+def test_a_vehicle_that_was_armed_before_the_answer_is_not_changed(tmp_path: Path) -> None:
+    vehicle = Vehicle(tmp_path, GOOD, SWAPPED, seed=6)
+
+    def agrees(text: str) -> bool:
+        vehicle.held.armed = True
+        return True
+
+    vehicle.person.agrees_to = agrees
+    with pytest.raises(ConfigError, match="disarm"):
+        vehicle.do("addresses")
+    assert vehicle.path.read_text() == SWAPPED
+
+
+def test_a_change_that_makes_the_file_invalid_is_taken_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle = Vehicle(tmp_path, GOOD, SWAPPED, seed=6)
+
+    def refuse(path: Path) -> Airframe:
+        raise ConfigError("not valid")
+
+    monkeypatch.setattr(command, "load_airframe", refuse)
+    with pytest.raises(ConfigError, match=r"nothing was changed, .*\nnot valid"):
+        vehicle.do("addresses")
+    assert vehicle.path.read_text() == SWAPPED
+
+
+@pytest.mark.parametrize("is_serial", [True, False])
+def test_the_bus_is_claimed_for_sensors_on_it_only(tmp_path: Path, is_serial: bool) -> None:
+    text = (CONFIGS / "serial_down.yaml").read_text().replace("sensors/mb1240.yaml", "mb1240") if is_serial else GOOD
+    vehicle = Vehicle(tmp_path, text, text, seed=6)
+
+    class Used(EmulatedBus):
+        def claim(self) -> None:
+            raise BusInUse(self.path, 16, "in use by another program")
+
+    vehicle.session.make_bus = lambda bus: Used(vehicle.held)
+    if is_serial:
+        vehicle.session.check_disarmed()
+    else:
+        with pytest.raises(ConfigError, match="in use by another program: sudo systemctl stop"):
+            vehicle.session.check_disarmed()
+
+
 @pytest.mark.parametrize("step", ["bench", "parameters"])
 def test_who_has_the_only_connection_of_the_autopilot_is_named(tmp_path: Path, step: str) -> None:
     """Its server takes one client at a time, as a serial port of ArduPilot's simulator does: others receive nothing."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         code = f"import socket; s = socket.create_connection(('127.0.0.1', {port})); print(flush=True); input()"
-        command = [sys.executable, "-c", code, "msp-range", "commission"]
-        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
+        holds = [sys.executable, "-c", code, "msp-range", "commission"]
+        with subprocess.Popen(holds, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
             assert holder.stdout is not None
             holder.stdout.readline()
             link = f"tcp:127.0.0.1:{port}"

@@ -121,6 +121,14 @@ def test_what_of_the_bytes_is_a_line(pieces: list[bytes], expected: list[tuple[S
     assert answers(MaxSonarCm, *pieces) == expected
 
 
+def test_the_beginning_of_a_line_from_before_a_ping_is_dropped() -> None:
+    driver = MaxSonarCm(Arriving(b"R2", b"58\r"), PORT)
+    for _ in range(2):
+        driver.ping()
+        with pytest.raises(BusError):
+            driver.answer()
+
+
 @pytest.mark.parametrize("family", FAMILIES)
 def test_every_recorded_word_is_played_as_the_line_that_gives_it_again(family: type[MaxSonar]) -> None:
     steps = range(family.minimum_cm * family.per_cm, family.no_echo_cm * family.per_cm - 1)
@@ -221,6 +229,18 @@ def test_a_program_that_stood_still_reads_nothing_old() -> None:
             pinged_s = [ping_s for ping_s, _, _ in flown.pings]
             echo_s = ranging.reading.time_s - 50.0 - 0.5 * ranging.reading.range_m * 5.8e-3
             assert min(abs(echo_s - ping_s) for ping_s in pinged_s) < 0.004
+
+
+def test_a_line_that_waited_while_the_program_stood_still_is_dropped() -> None:
+    """Each pause ends within the time that an answer may take, so that this alone is late."""
+    flown = bench().fly(1.0)
+    for _ in range(20):
+        before = len(flown.steps)
+        flown.clock.sleep_until(flown.clock.now() + 0.06)
+        flown.fly(flown.now() + 0.13)
+        for step in flown.steps[before:]:
+            echo_s = step.ranging.reading.time_s - 50.0 - 0.5 * 3.0 * 5.8e-3
+            assert min(abs(echo_s - ping_s) for ping_s, _, _ in flown.pings) < 0.03
 
 
 SILENT = [
@@ -361,6 +381,8 @@ def test_an_adapter_that_is_unplugged_comes_back(tmp_path: Path) -> None:
     assert next(ranging.error.errno for ranging in gone if ranging.error) == errno.ENODEV
     assert [ranging.error.errno for ranging in gone if ranging.error][-1] == errno.ENOENT
     assert back.count(Status.OK) > 40
+    assert gone[1].error is not None
+    assert gone[1].error.errno == errno.ENOENT, "the port was closed at once, and the next ping opens it"
     assert "Range a: good again" in flown.reports
 
 
@@ -386,6 +408,19 @@ def test_a_port_serves_one_program(tmp_path: Path) -> None:
         flown.bus.close()
         second.write(address, b"")
         second.close()
+
+
+def test_a_ping_drops_what_has_arrived(tmp_path: Path) -> None:
+    with flight(tmp_path) as flown:
+        flown.fly(0.5)
+        address = f"serial:{tmp_path / 'ttyUSB0'}:9600"
+        for _ in range(60):
+            flown.clock.sleep_until(flown.clock.now() + 0.003)
+        assert flown.bus.busy_s(address) == 0.0
+        flown.bus.write(address, b"")
+        with pytest.raises(BusError) as caught:
+            flown.bus.read(address, 64)
+    assert caught.value.errno == errno.EAGAIN
 
 
 def test_a_missing_port_and_one_that_was_not_opened() -> None:
