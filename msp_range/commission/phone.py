@@ -72,9 +72,9 @@ def by_phone(session: Session, step: str | None, listen: Listen, out: TextIO) ->
             session.operator = PersonAtPhone(page, out)
             report = commission(session, step)
         except UserError as error:
-            page.say("end", str(error))
+            page.show("end", str(error))
             raise
-        page.say("end", _end_of(report))
+        page.show("end", _end_of(report))
     return report
 
 
@@ -114,7 +114,7 @@ class PhonePage:
         self._tries = 0
         self._lock = Lock()
         self._browser: ServerConnection | None = None
-        self._said: list[dict[str, Any]] = []
+        self._shown: list[dict[str, Any]] = []
         self._answers: SimpleQueue[tuple[int, str]] = SimpleQueue()
         self._files = {file.name: file.read_bytes() for file in (files("msp_range.commission") / "static").iterdir()}
         try:
@@ -141,11 +141,11 @@ class PhonePage:
         self._server.shutdown()
         self._thread.join()
 
-    def say(self, kind: str, text: str, **more: object) -> None:
+    def show(self, kind: str, text: str, **more: object) -> None:
         """Show something: a ``line``, an ``instruction``, or the ``end``."""
         with self._lock:
-            self._said.append({"kind": kind, "text": text, **more})
-            self._send(self._said[-1])
+            self._shown.append({"kind": kind, "text": text, **more})
+            self._send(self._shown[-1])
 
     def ask(self, text: str, *answers: str) -> str:
         """One of the answers, or with none given what the person types.
@@ -155,14 +155,14 @@ class PhonePage:
         ConfigError
             The page's time is over.
         """
-        number = len(self._said)
-        self.say("question", text, number=number, answers=answers)
+        number = len(self._shown)
+        self.show("question", text, number=number, answers=answers)
         while self._clock.now() < self._end_s:
             with suppress(Empty):
                 answered, answer = self._answers.get(timeout=POLL_S)
                 # A button that was pressed twice has answered this already.
                 if answered == number and (not answers or answer in answers) and self._clock.now() < self._end_s:
-                    self.say("answer", answer)
+                    self.show("answer", answer)
                     return answer
             if self._tries >= MOST_TRIES:
                 raise ConfigError(f"{MOST_TRIES} wrong codes: the page is closed. The same command opens it again")
@@ -193,7 +193,7 @@ class PhonePage:
             with self._lock:
                 before, self._browser = self._browser, browser
                 browser.send(json.dumps({"kind": "open", "secret": self._secret, "left_s": self._left_s}))
-                for message in self._said:
+                for message in self._shown:
                     self._send(message)
             if before is not None:
                 before.close()
@@ -240,11 +240,11 @@ class PersonAtPhone:
 
     def instruct(self, text: str) -> None:
         """Show what is to be done from now on; the phone vibrates."""
-        self._page.say("instruction", text)
+        self._page.show("instruction", text)
 
     def show(self, text: str) -> None:
         """Show what was found, which the page breaks into lines itself."""
-        self._page.say("line", text.strip("\n"))
+        self._page.show("line", text.strip("\n"))
         self._out.write("\n".join([*wrapped(text), ""]))
         self._out.flush()
 

@@ -199,7 +199,7 @@ def compare(airframe: Airframe, stands: Sequence[Stand], still: Samples, flown: 
     outcome = StepOutcome(again=lambda changed: compare(changed, stands, still, flown))
     tilts = [tilt_rad(stand.samples) for stand in stands]
     if any(tilt > LEVEL_RAD for tilt in tilts):
-        text = f"the autopilot says that it leans by {math.degrees(max(tilts)):.0f} deg"
+        text = f"the autopilot reports that it leans by {math.degrees(max(tilts)):.0f} deg"
         outcome.wrong("level", text, "put it level, or calibrate the autopilot's level, then again")
         return outcome
     noise = noise_m(still)

@@ -91,6 +91,14 @@ def test_wrong_codes_close_the_page(opened: Opened) -> None:
         answer.result(LIMIT_S)
 
 
+def test_a_browser_that_knows_an_earlier_page_uses_up_no_tries(opened: Opened) -> None:
+    for _ in range(MOST_TRIES + 1):
+        client = opened.client()
+        client.send(json.dumps({"secret": "of an earlier page"}))
+        assert f"{MOST_TRIES} tries" in said(client, "refused")["text"]
+    let_in(opened)
+
+
 def test_nothing_is_answered_once_the_time_is_over(opened: Opened) -> None:
     answer = opened.ask("Change it?", "change it", "leave it")
     client, secret = let_in(opened)
