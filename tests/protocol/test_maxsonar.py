@@ -31,8 +31,8 @@ from msp_range.sensors.base import AddressError
 from msp_range.sensors.maxsonar import GARBLED, MaxSonar, MaxSonarCm, MaxSonarMm, MaxSonarMm10m
 from msp_range.sensors.table import DRIVERS
 from msp_range.yaml_file import ConfigError
-from msp_sim.device.device import Fault
-from msp_sim.device.maxsonar import EmulatedMaxSonarCm
+from msp_sim.device.device import Fault, NotAcknowledged
+from msp_sim.device.maxsonar import EmulatedMaxSonarCm, Unplugged
 from msp_sim.device.pty_port import PtyPort
 from msp_sim.device.table import EMULATED
 from tests.support.bench import Bench, Wire, airframe, sensor
@@ -308,6 +308,19 @@ def test_driver_and_emulated_device_agree(name: str) -> None:
     sent = device(PORT, lambda: time_s, lambda ping_s: driver.no_echo_cm - 1)
     time_s = device.default_timing.no_echo_s
     assert driver.word(sent.read(64).rstrip(b"\r")) == driver.no_echo_cm - 1
+
+
+def test_an_emulated_sensor_gives_what_is_asked_for_and_forgets_what_was_on_its_wire() -> None:
+    time_s = 0.0
+    sonar = EmulatedMaxSonarCm(PORT, lambda: time_s, lambda ping_s: 258, faults=[Fault("unplugged", 0.1, 0.11)])
+    time_s = 0.099
+    assert sonar.read(2) == b"R2"
+    time_s = 0.1
+    with pytest.raises(Unplugged):
+        sonar.read(64)
+    time_s = 0.12
+    with pytest.raises(NotAcknowledged):
+        sonar.read(64)
 
 
 # --- on a real pseudoterminal ---

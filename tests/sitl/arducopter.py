@@ -34,6 +34,7 @@ class ArduCopter(Autopilot):
     GUIDED, LAND, RTL = 4, 9, 6
     """ArduCopter/mode.h."""
     standing_m = STANDING_RANGE_M
+    top_m = TOP_M
     tolerance_m = 0.5
     wanted: ClassVar = {"SYS_STATUS": 20.0, "SIM_STATE": 50.0, "DISTANCE_SENSOR": 20.0, "EKF_STATUS_REPORT": 5.0}
 
@@ -89,9 +90,9 @@ class ArduCopter(Autopilot):
     def take_off(self) -> None:
         self.get_ready()
         self.station.command_until_accepted("arming", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
-        takeoff = (0, 0, 0, 0, 0, 0, TOP_M)
+        takeoff = (0, 0, 0, 0, 0, 0, self.top_m)
         self.station.command_until_accepted("take-off", mavlink.MAV_CMD_NAV_TAKEOFF, *takeoff)
-        self.wait_for_hover(TOP_M)
+        self.wait_for_hover(self.top_m)
 
     def go_to(self, height_m: float, frame: int = mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT) -> None:
         """In GUIDED; the height above the terrain is what the range finder measures (GCS_MAVLink_Copter.cpp)."""
