@@ -15,7 +15,7 @@ import pytest
 
 from msp_range.bus.smbus import BusInUse
 from msp_range.clock import Clock, VirtualClock
-from msp_range.commission import command
+from msp_range.commission import command, session
 from msp_range.commission.command import commission
 from msp_range.commission.session import Session
 from msp_range.commission.state import PassedSteps
@@ -321,7 +321,9 @@ def test_a_change_that_makes_the_file_invalid_is_taken_back(tmp_path: Path, monk
 
 
 @pytest.mark.parametrize("is_serial", [True, False])
-def test_the_bus_is_claimed_for_sensors_on_it_only(tmp_path: Path, is_serial: bool) -> None:
+def test_the_bus_is_claimed_for_sensors_on_it_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_serial: bool
+) -> None:
     text = (CONFIGS / "serial_down.yaml").read_text().replace("sensors/mb1240.yaml", "mb1240") if is_serial else GOOD
     vehicle = Vehicle(tmp_path, text, text, seed=6)
 
@@ -335,6 +337,13 @@ def test_the_bus_is_claimed_for_sensors_on_it_only(tmp_path: Path, is_serial: bo
     else:
         with pytest.raises(ConfigError, match="in use by another program: sudo systemctl stop"):
             vehicle.session.check_disarmed()
+    # A bridge that runs has the bus, or the ports.
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    monkeypatch.setattr(session, "connect", lambda paths: theirs)
+    ours.send(json.dumps({"topic": "/airframe", "time_s": 0.0, "message": {"sensors": []}}).encode())
+    with pytest.raises(ConfigError, match="the running bridge has other sensors"):
+        vehicle.session.check_disarmed()
+    ours.close()
 
 
 @pytest.mark.parametrize("step", ["bench", "parameters"])
