@@ -24,7 +24,6 @@ from msp_range.commission.command import commission
 from msp_range.commission.operator import EXPECTED_HEIGHT, height_of
 from msp_range.commission.session import Session
 from msp_range.errors import UserError
-from msp_range.input_file import printable
 from msp_range.terminal import wrapped
 from msp_range.watch.place import Listen
 from msp_range.web.access import refusal
@@ -199,7 +198,7 @@ class PhonePage:
                 before.close()
             for answer in browser:
                 found = json.loads(answer)
-                self._answers.put((int(found["number"]), printable(str(found["answer"]))))
+                self._answers.put((int(found["number"]), str(found["answer"])))
 
     @property
     def _left_s(self) -> float:
