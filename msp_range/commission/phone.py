@@ -49,7 +49,7 @@ EVERYWHERE = "0.0.0.0"
 
 
 def by_phone(session: Session, step: str | None, listen: Listen, out: TextIO) -> dict[str, Any]:
-    """Do as `commission` does, with a page for ten minutes in place of the terminal.
+    """Do as `commission` does, with a page for ten minutes in place of the terminal; its report.
 
     Raises
     ------
@@ -78,6 +78,13 @@ def by_phone(session: Session, step: str | None, listen: Listen, out: TextIO) ->
 
 
 def _end_of(report: dict[str, Any]) -> str:
+    """What the page shows last of a report of `commission`.
+
+    Examples
+    --------
+    >>> _end_of({"steps": {"wires": {"passed": True}}, "next": "addresses"})
+    'It has passed; next: addresses.'
+    """
     for name, each in report["steps"].items():
         if not each["passed"]:
             return f"{name} has not passed: see below."
