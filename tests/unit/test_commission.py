@@ -2,6 +2,7 @@
 
 import errno
 import io
+import json
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -412,6 +413,11 @@ def test_the_command_says_what_it_needs(tmp_path: Path, monkeypatch: pytest.Monk
     command = ["msp-range commission", path]
     assert f"<{'|'.join(STEPS)}>" in run(*command, "--help").stdout
     assert "--yes" in run(*command, "--step", "bench", code=3).stderr
+    # One object on standard output, and what a person reads on standard error.
+    done = run(*command, "--step", "hover", "--json", code=1)
+    assert json.loads(done.stdout)["steps"]["hover"]["passed"] is False
+    assert "hover: not passed" in done.stderr
+    assert "hover: not passed" in run(*command, "--step", "hover", code=1).stdout
     assert "--height 72: expected metres" in run(*command, "--yes", "--height", "72", code=3).stderr
     (tmp_path / "airframe.commission.json").write_text("[]")
     assert "remove it to begin anew" in run(*command, code=3).stderr
