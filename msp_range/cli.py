@@ -195,7 +195,7 @@ def commission(
     ] = None,
     port: PortOption = 2,
     json_lines: Annotated[
-        bool, Option("--json", help="print one JSON object at the end; instructions go to standard error")
+        bool, Option("--json", help="print one JSON object at the end; all else goes to standard error")
     ] = False,
     phone: Annotated[
         bool, Option("--phone", help="ask on a phone instead: a page on the network for ten minutes, with a code")
@@ -219,17 +219,21 @@ def commission(
     clock = SystemClock()
     operator = PersonAtTerminal(yes, tuple(height or ()), sys.stderr if json_lines else sys.stdout)
     session = Session(airframe_file, this_computer(), clock, operator, recording=recording, port=port)
-    if not phone:
-        raise Exit(do(session, step, sys.stdout, json_lines))
-    if yes or height or json_lines:
-        raise ConfigError("--phone asks on the phone: it goes without --yes, --height and --json")
-    from msp_range.extras import require
-    from msp_range.watch.place import parse_listen
+    if phone:
+        if yes or height or json_lines:
+            raise ConfigError("--phone asks on the phone: it goes without --yes, --height and --json")
+        from msp_range.extras import require
+        from msp_range.watch.place import parse_listen
 
-    require("web", "msp-range commission --phone")
-    from msp_range.commission.phone import by_phone
+        require("web", "msp-range commission --phone")
+        from msp_range.commission.phone import by_phone
 
-    raise Exit(by_phone(session, step, parse_listen(listen), sys.stdout))
+        report = by_phone(session, step, parse_listen(listen), sys.stdout)
+    else:
+        report = do(session, step)
+    if json_lines:
+        print(json.dumps(report, indent=2))
+    raise Exit(int(not all(each["passed"] for each in report["steps"].values())))
 
 
 @app.command()

@@ -15,6 +15,10 @@ from msp_range.reading import Status
 LONGEST_TEXT = 50
 """Characters of a STATUSTEXT. A sensor's name may have 32 of them, which leaves 10."""
 EXPLAINED = "docs/flying.md explains the texts"
+NAME_THERMOMETER = (
+    "in the airframe file set temperature.fixed_c to the air's temperature of today and fixed_std_c to 3, or name a "
+    "thermometer under temperature.sources"
+)
 
 
 class Severity(IntEnum):
@@ -159,7 +163,9 @@ class Text:
 
     # No thermometer, and the fixed temperature may be wrong by 10 cm of the longest range.
     NO_THERMOMETER = Condition(
-        "no thermometer", "Range: no thermometer, {off_cm:.0f} cm off at {coldest_c:.0f} C, {maximum_m:.3g} m"
+        "no thermometer",
+        "Range: no thermometer, {off_cm:.0f} cm off at {coldest_c:.0f} C, {maximum_m:.3g} m",
+        remedy=NAME_THERMOMETER,
     )
     # A thermometer changed faster than air does, for 2 s, and no other source has a value.
     JUMP = Condition("temperature jump", "Range: air temp jumps to {to_c:.0f} C, using {using_c:.0f} C")

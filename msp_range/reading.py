@@ -47,8 +47,8 @@ class Decoded(NamedTuple):
     """Status of the reading."""
     range_m: float | None
     """Distance [m] as the sensor reports it, uncorrected; None unless ``status.has_range``."""
-    raw: int | None
-    """The answer as a number; None if there was none."""
+    raw: float | None
+    """The answer as a number [cm]; None if there was none."""
     suspect: bool = False
     """The value is a valid range, but also a known fault code."""
     earliest_s: float = 0.0
@@ -78,8 +78,8 @@ class Reading:
     """Distance along the beam [m]; None unless ``status.has_range``."""
     std_m: float | None = None
     """Standard deviation of ``range_m`` [m]; None if unknown."""
-    raw: int | None = None
-    """The sensor's raw 16-bit answer; None without an answer."""
+    raw: float | None = None
+    """The sensor's own answer [cm], in its steps; None without an answer."""
     suspect: bool = False
     """True if the answer is a valid range and also a known fault code of this kind of sensor."""
 

@@ -15,12 +15,13 @@ from zipfile import ZIP_DEFLATED, ZipFile
 from msp_range import __version__
 from msp_range.clock import Clock, stamp_of
 from msp_range.config import AIRFRAME_NAME, load_airframe
-from msp_range.doctor.command import lines_of
+from msp_range.doctor.command import text_of
 from msp_range.doctor.computer import Computer
 from msp_range.doctor.examination import examine
 from msp_range.input_file import printable
 from msp_range.recording.error import new_file
 from msp_range.recording.reader import newest_recording
+from msp_range.terminal import wrapped
 from msp_range.watch.client import connect, read_once
 from msp_range.watch.place import sockets
 from msp_range.watch.terminal import as_object
@@ -97,7 +98,7 @@ def _journal(*_: object) -> Part:
 
 
 def _doctor(path: Path, computer: Computer, clock: Clock) -> Part:
-    lines = [line for finding in examine(path, computer, clock) for line in lines_of(finding)]
+    lines = [line for finding in examine(path, computer, clock) for line in wrapped(text_of(finding))]
     yield "doctor.txt", "\n".join(lines), "what msp-range doctor finds"
 
 

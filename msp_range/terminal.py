@@ -4,6 +4,7 @@ rich interprets ``[red]`` as a style and ``:warning:`` as an emoji, and terminal
 vehicles, sensors, runs and files must not be interpreted.
 """
 
+import re
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -59,11 +60,20 @@ def plain_table(
     return table
 
 
-def wrapped(first: str, text: str) -> list[str]:
-    """The lines of a text behind a first word, at most `NARROW` wide; the others are indented as far."""
-    return textwrap.wrap(
-        printable(text), NARROW, initial_indent=first, subsequent_indent=" " * len(first), break_on_hyphens=False
-    )
+def wrapped(text: str) -> list[str]:
+    """The lines of a text, at most `NARROW` wide; what is folded goes on below what its line's first column precedes.
+
+    Examples
+    --------
+    >>> wrapped("right    port: " + 15 * "word ")[1], wrapped("         -> " + 15 * "word ")[1]
+    ('         word word', '            word word')
+    """
+    lines: list[str] = []
+    for line in map(printable, text.split("\n")):
+        column = re.match(r"[ >-]*(\S+ {2,})?", line)
+        indent = " " * len(column[0] if column else "")
+        lines += textwrap.wrap(line, NARROW, subsequent_indent=indent, break_on_hyphens=False) or [""]
+    return lines
 
 
 def console() -> Console:

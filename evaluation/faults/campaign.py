@@ -143,7 +143,7 @@ class _BridgeLog:
         airframe, vehicle, world = self._scenario.airframe, simulation.vehicle, simulation.world
         names = [sensor.name for sensor in airframe.downward]
         answers = [
-            (reading.time_s - self._start_s, names.index(reading.sensor), reading.raw)
+            (reading.time_s - self._start_s, names.index(reading.sensor), round(reading.raw))
             for reading in (step.ranging.reading for step in self.steps)
             if reading.raw is not None and reading.sensor in names
         ]

@@ -10,6 +10,7 @@ calls these functions for each reading, so plain numbers are computed with `math
 from __future__ import annotations
 
 import math
+import re
 from typing import NamedTuple
 
 from msp_range.numbers import Numbers
@@ -59,6 +60,24 @@ class Air(NamedTuple):
     def sonic_c(self) -> float:
         """Temperature of dry air with the same speed of sound [deg C]."""
         return sonic_temperature_c(self.temperature_c, self.humidity_percent)
+
+
+def source_in_words(source: str) -> str:
+    """Where an `Air` comes from, for a person; a thermometer's file by the kernel's name of the device.
+
+    Examples
+    --------
+    >>> source_in_words("/sys/bus/i2c/devices/1-0044/hwmon/hwmon*/temp1_input"), source_in_words("/run/outside")
+    ('from thermometer 1-0044', 'from thermometer outside')
+    >>> source_in_words("SCALED_PRESSURE"), source_in_words(FIXED)
+    ('from SCALED_PRESSURE', 'fixed in the airframe file')
+    """
+    if source in (FIXED, HELD):
+        return "fixed in the airframe file" if source == FIXED else "an earlier value of a thermometer"
+    if "/" not in source:
+        return f"from {source}"
+    device = re.search("/(?:devices|hwmon|thermal)/([^/]+)/", source)
+    return f"from thermometer {device[1] if device else source.rpartition('/')[2]}"
 
 
 def vapour_fraction(temperature_c: Numbers, humidity_percent: Numbers) -> Numbers:

@@ -1,10 +1,9 @@
 """What `msp-range commission` does: the steps in their order, each printed, corrected, verified and remembered."""
 
-import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any, Protocol
+from typing import Any
 
 from msp_range.commission import edit
 from msp_range.commission.outcome import Proposal, StepOutcome
@@ -12,23 +11,12 @@ from msp_range.commission.session import Session
 from msp_range.commission.state import PassedSteps
 from msp_range.commission.steps.table import STEPS
 from msp_range.config import load_airframe
-from msp_range.doctor.command import lines_of
-from msp_range.terminal import wrapped
+from msp_range.doctor.command import INDENT, text_of
 from msp_range.yaml_file import ConfigError, place_of
 
 
-class Output(Protocol):
-    """A terminal, or what stands for one."""
-
-    def write(self, text: str, /) -> object:
-        """Write whole lines."""
-
-    def flush(self) -> None:
-        """Show them now."""
-
-
-def commission(session: Session, step: str | None, out: Output, as_json: bool) -> int:
-    """Do one step, or all that have not passed; 1 where one has not passed at the end, else 0.
+def commission(session: Session, step: str | None) -> dict[str, Any]:
+    """Do one step, or all that have not passed; ``steps`` is the report of each, by name, and ``next`` what is due now.
 
     Parameters
     ----------
@@ -36,10 +24,11 @@ def commission(session: Session, step: str | None, out: Output, as_json: bool) -
         Vehicle and person.
     step
         The one to do, whether it has passed or not; None: all that have not passed, until one does not.
-    out
-        Where findings go.
-    as_json
-        Print one JSON object at the end instead.
+
+    Raises
+    ------
+    ConfigError
+        A step cannot go on: the vehicle is armed, or is not received; or the file cannot be used or changed.
     """
     airframe = session.airframe()
     if not os.access(session.path.absolute().parent, os.W_OK):
@@ -52,18 +41,13 @@ def commission(session: Session, step: str | None, out: Output, as_json: bool) -
     report: dict[str, Any] = {}
     due = [step] if step is not None else [name for name in STEPS if not state.has_passed(name, airframe)]
     name = due[0] if due else None
-
-    def show(lines: Sequence[str]) -> None:
-        if not as_json:
-            out.write("\n".join(lines) + "\n")
-            out.flush()
-
+    show = session.operator.show
     show(_overview(state, session, due))
     while name is not None:
-        show(["", f"--- {name} ({list(STEPS).index(name) + 1} of {len(STEPS)}) ---"])
+        show(f"\n--- {name} ({list(STEPS).index(name) + 1} of {len(STEPS)}) ---")
         outcome = STEPS[name].run(session).keep_founded(session.airframe())
-        show([line for finding in outcome.findings for line in lines_of(finding)])
-        changes, outcome = _correct(session, outcome, show)
+        _show_findings(session, outcome)
+        changes, outcome = _correct(session, outcome)
         report[name] = {
             "passed": outcome.passed,
             "findings": [asdict(finding) for finding in outcome.findings],
@@ -73,25 +57,26 @@ def commission(session: Session, step: str | None, out: Output, as_json: bool) -
         }
         session.measured[name] = outcome.measured
         if not outcome.passed:
-            show(["", f"{name}: not passed. The same command goes on here; --step {name} repeats it"])
+            show(f"\n{name}: not passed. The same command goes on here; --step {name} repeats it")
             break
         state.save(name, session.airframe(), outcome.measured, session.clock)
-        show([f"{name}: passed"])
+        show(f"{name}: passed")
         # The next one due by the file as it is now: a change may concern an earlier step, too.
         name = state.next_step(session.airframe()) if step is None else None
     left = state.next_step(session.airframe())
     if left is None:
-        show(["", "all steps passed"])
+        show("\nall steps passed")
     elif all(each["passed"] for each in report.values()):
-        show(["", f"next: {left}. The same command goes on there"])
-    if as_json:
-        out.write(json.dumps({"steps": report, "next": left}, indent=2) + "\n")
-    return int(not all(each["passed"] for each in report.values()))
+        show(f"\nnext: {left}. The same command goes on there")
+    return {"steps": report, "next": left}
 
 
-def _correct(
-    session: Session, outcome: StepOutcome, show: Callable[[Sequence[str]], None]
-) -> tuple[list[dict[str, str]], StepOutcome]:
+def _show_findings(session: Session, outcome: StepOutcome) -> None:
+    for finding in outcome.findings:
+        session.operator.show(text_of(finding))
+
+
+def _correct(session: Session, outcome: StepOutcome) -> tuple[list[dict[str, str]], StepOutcome]:
     """Make the changes that the person agrees to, and compare the same measurements with the new file.
 
     Raises
@@ -112,26 +97,24 @@ def _correct(
     except ConfigError as error:
         backup.replace(session.path)
         raise ConfigError(f"nothing was changed, as the file would not be valid any more:\n{error}") from None
-    show([f"saved in {session.path}; as it was: {backup.name}"])
+    session.operator.show(f"saved in {session.path}; as it was: {backup.name}")
     changes = [{"text": proposal.text, "backup": str(backup)} for proposal in agreed]
     if outcome.again is None:
         return changes, outcome
     verified = outcome.again(changed).keep_founded(changed)
-    show(["with the changed file:"])
-    show([line for finding in verified.findings for line in lines_of(finding)])
+    session.operator.show("with the changed file:")
+    _show_findings(session, verified)
     for proposal in verified.proposals:
-        show(wrapped("left     ", proposal.text))
+        session.operator.show(f"{'left':{INDENT}}{proposal.text}")
     return changes, verified
 
 
 def _asked(session: Session, proposal: Proposal) -> str:
-    lines = wrapped("change   ", proposal.text)
-    for change in proposal.edits:
-        lines += wrapped("         ", f"{place_of(change.path)}: {edit.as_yaml(change.value)}")
-    return "\n".join(lines)
+    edits = [f"{'':{INDENT}}{place_of(change.path)}: {edit.as_yaml(change.value)}" for change in proposal.edits]
+    return "\n".join([f"{'change':{INDENT}}{proposal.text}", *edits])
 
 
-def _overview(state: PassedSteps, session: Session, due: Sequence[str]) -> list[str]:
+def _overview(state: PassedSteps, session: Session, due: Sequence[str]) -> str:
     passed = [f"{name} ({state.steps[name]['passed']})" for name in STEPS if name not in due and name in state.steps]
-    lines = wrapped("", f"{session.path}: {len(due)} of {len(STEPS)} steps to do: {', '.join(due) or 'none'}")
-    return lines + (wrapped("", f"passed: {', '.join(passed)}") if passed else [])
+    text = f"{session.path}: {len(due)} of {len(STEPS)} steps to do: {', '.join(due) or 'none'}"
+    return f"{text}\npassed: {', '.join(passed)}" if passed else text

@@ -1,12 +1,9 @@
 """The person who moves the vehicle and decides, and what she is asked to do."""
 
 import sys
-import textwrap
 from typing import Protocol, TextIO
 
-from msp_range.doctor.command import INDENT
-from msp_range.input_file import printable
-from msp_range.terminal import NARROW
+from msp_range.terminal import wrapped
 from msp_range.yaml_file import ConfigError
 
 LEAST_HEIGHT_M, MOST_HEIGHT_M = 0.1, 10.0
@@ -21,7 +18,10 @@ class Operator(Protocol):
         """Explain a step, and wait until the person is ready."""
 
     def instruct(self, text: str) -> None:
-        """Say what is to be done from now on."""
+        """Show what is to be done from now on."""
+
+    def show(self, text: str) -> None:
+        """Show what was found; a line of the text may be of any length."""
 
     def agrees(self, text: str) -> bool:
         """Ask with yes or no whether to make a change."""
@@ -73,22 +73,22 @@ class PersonAtTerminal:
 
     def begin(self, text: str) -> None:
         """Explain a step, and wait for the Enter key."""
-        self._show(textwrap.fill(" ".join(text.split()), NARROW))
+        self.show(" ".join(text.split()))
         if not self._accepts_all:
             self._answer("Press Enter when you are ready, Ctrl-C to go on another time. ")
 
     def instruct(self, text: str) -> None:
-        """Say what is to be done from now on, with the terminal's bell: the person looks at the vehicle."""
-        self._show(f">> {text}")
+        """Show what is to be done from now on, with the terminal's bell: the person looks at the vehicle."""
+        self.show(f">> {text}")
         if self._out.isatty():
             self._out.write("\a")
             self._out.flush()
 
     def agrees(self, text: str) -> bool:
         """Ask with yes or no whether to make a change."""
-        self._show(text)
+        self.show(text)
         if self._accepts_all:
-            self._show("changed, as --yes says")
+            self.show("changed, as --yes says")
             return True
         while True:
             answer = self._answer("Change it? [y/n] ").strip().lower()
@@ -99,11 +99,11 @@ class PersonAtTerminal:
         """Ask for a measured height until it is one [m]; None: there is no further one."""
         if self._heights:
             height_m = self._heights.pop(0)
-            self._show(f"{text}\n{height_m:g} m, as --height says")
+            self.show(f"{text}\n{height_m:g} m, as --height says")
             return height_m
         if self._accepts_all:
             return None
-        self._show(text)
+        self.show(text)
         while True:
             answer = self._answer("Height in metres (Enter: no further one): ").strip()
             if not answer:
@@ -111,7 +111,7 @@ class PersonAtTerminal:
             found_m = height_of(answer)
             if found_m is not None:
                 return found_m
-            self._show(f"found {answer!r}; {EXPECTED_HEIGHT}")
+            self.show(f"found {answer!r}; {EXPECTED_HEIGHT}")
 
     def _answer(self, question: str) -> str:
         if not sys.stdin.isatty():
@@ -126,7 +126,7 @@ class PersonAtTerminal:
             raise KeyboardInterrupt
         return answer
 
-    def _show(self, text: str) -> None:
-        for line in text.splitlines():
-            self._out.write("\n".join(textwrap.wrap(printable(line), NARROW, subsequent_indent=" " * INDENT)) + "\n")
+    def show(self, text: str) -> None:
+        """Show what was found, in lines of at most 80 columns."""
+        self._out.write("\n".join([*wrapped(text), ""]))
         self._out.flush()

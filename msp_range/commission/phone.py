@@ -24,7 +24,7 @@ from msp_range.commission.command import commission
 from msp_range.commission.operator import EXPECTED_HEIGHT, height_of
 from msp_range.commission.session import Session
 from msp_range.errors import UserError
-from msp_range.input_file import printable
+from msp_range.terminal import wrapped
 from msp_range.watch.place import Listen
 from msp_range.web.access import refusal
 from msp_range.web.network import hosts, show_code
@@ -48,8 +48,8 @@ EVERYWHERE = "0.0.0.0"
 """As the host of `Listen`: on all networks."""
 
 
-def by_phone(session: Session, step: str | None, listen: Listen, out: TextIO) -> int:
-    """Do as `commission` does, with a page for ten minutes in place of the terminal; its exit code.
+def by_phone(session: Session, step: str | None, listen: Listen, out: TextIO) -> dict[str, Any]:
+    """Do as `commission` does, with a page for ten minutes in place of the terminal; its report.
 
     Raises
     ------
@@ -68,13 +68,27 @@ def by_phone(session: Session, step: str | None, listen: Listen, out: TextIO) ->
         try:
             if page.ask(PROPELLERS, OFF, "no") != OFF:
                 raise ConfigError("take the propellers off, then the same command again; nothing was changed")
-            session.operator = PersonAtPhone(page)
-            code = commission(session, step, _Copied(out, page), as_json=False)
+            session.operator = PersonAtPhone(page, out)
+            report = commission(session, step)
         except UserError as error:
-            page.say("end", str(error))
+            page.show("end", str(error))
             raise
-        page.say("end", "All steps have passed." if code == 0 else "A step has not passed: see above.")
-    return code
+        page.show("end", _end_of(report))
+    return report
+
+
+def _end_of(report: dict[str, Any]) -> str:
+    """What the page shows last of a report of `commission`.
+
+    Examples
+    --------
+    >>> _end_of({"steps": {"wires": {"passed": True}}, "next": "addresses"})
+    'It has passed; next: addresses.'
+    """
+    for name, each in report["steps"].items():
+        if not each["passed"]:
+            return f"{name} has not passed: see below."
+    return "All steps have passed." if report["next"] is None else f"It has passed; next: {report['next']}."
 
 
 class PhonePage:
@@ -106,7 +120,7 @@ class PhonePage:
         self._tries = 0
         self._lock = Lock()
         self._browser: ServerConnection | None = None
-        self._said: list[dict[str, Any]] = []
+        self._shown: list[dict[str, Any]] = []
         self._answers: SimpleQueue[tuple[int, str]] = SimpleQueue()
         self._files = {file.name: file.read_bytes() for file in (files("msp_range.commission") / "static").iterdir()}
         try:
@@ -133,11 +147,11 @@ class PhonePage:
         self._server.shutdown()
         self._thread.join()
 
-    def say(self, kind: str, text: str, **more: object) -> None:
+    def show(self, kind: str, text: str, **more: object) -> None:
         """Show something: a ``line``, an ``instruction``, or the ``end``."""
         with self._lock:
-            self._said.append({"kind": kind, "text": text, **more})
-            self._send(self._said[-1])
+            self._shown.append({"kind": kind, "text": text, **more})
+            self._send(self._shown[-1])
 
     def ask(self, text: str, *answers: str) -> str:
         """One of the answers, or with none given what the person types.
@@ -147,14 +161,14 @@ class PhonePage:
         ConfigError
             The page's time is over.
         """
-        number = len(self._said)
-        self.say("question", text, number=number, answers=answers)
+        number = len(self._shown)
+        self.show("question", text, number=number, answers=answers)
         while self._clock.now() < self._end_s:
             with suppress(Empty):
                 answered, answer = self._answers.get(timeout=POLL_S)
                 # A button that was pressed twice has answered this already.
                 if answered == number and (not answers or answer in answers) and self._clock.now() < self._end_s:
-                    self.say("answer", answer)
+                    self.show("answer", answer)
                     return answer
             if self._tries >= MOST_TRIES:
                 raise ConfigError(f"{MOST_TRIES} wrong codes: the page is closed. The same command opens it again")
@@ -185,13 +199,13 @@ class PhonePage:
             with self._lock:
                 before, self._browser = self._browser, browser
                 browser.send(json.dumps({"kind": "open", "secret": self._secret, "left_s": self._left_s}))
-                for message in self._said:
+                for message in self._shown:
                     self._send(message)
             if before is not None:
                 before.close()
             for answer in browser:
                 found = json.loads(answer)
-                self._answers.put((int(found["number"]), printable(str(found["answer"]))))
+                self._answers.put((int(found["number"]), str(found["answer"])))
 
     @property
     def _left_s(self) -> float:
@@ -219,18 +233,26 @@ class PersonAtPhone:
     ----------
     page
         Where she reads and answers.
+    out
+        The terminal, which shows what was found too.
     """
 
-    def __init__(self, page: PhonePage) -> None:
-        self._page = page
+    def __init__(self, page: PhonePage, out: TextIO) -> None:
+        self._page, self._out = page, out
 
     def begin(self, text: str) -> None:
         """Explain a step, and wait until she is ready."""
         self._page.ask(" ".join(text.split()), "ready")
 
     def instruct(self, text: str) -> None:
-        """Say what is to be done from now on; the phone vibrates."""
-        self._page.say("instruction", text)
+        """Show what is to be done from now on; the phone vibrates."""
+        self._page.show("instruction", text)
+
+    def show(self, text: str) -> None:
+        """Show what was found, which the page breaks into lines itself."""
+        self._page.show("line", text.strip("\n"))
+        self._out.write("\n".join([*wrapped(text), ""]))
+        self._out.flush()
 
     def agrees(self, text: str) -> bool:
         """Ask with yes or no whether to make a change."""
@@ -245,27 +267,3 @@ class PersonAtPhone:
                 return height_m
             question = f"found {answer!r}; {EXPECTED_HEIGHT}"
         return None
-
-
-class _Copied:
-    """What is written to a terminal, and to the page as well.
-
-    Parameters
-    ----------
-    out
-        The terminal.
-    page
-        The page.
-    """
-
-    def __init__(self, out: TextIO, page: PhonePage) -> None:
-        self._out, self._page = out, page
-
-    def write(self, text: str) -> object:
-        """Write whole lines."""
-        self._page.say("line", text.strip("\n"))
-        return self._out.write(text)
-
-    def flush(self) -> None:
-        """Flush the terminal."""
-        self._out.flush()

@@ -223,16 +223,19 @@ class Session:
         """
         airframe = airframe or self.airframe()
         bus = self.make_bus(airframe.bus)
+        # Serial ports are locked one by one when a sensor is pinged: whether a bridge runs is what its socket shows.
+        in_use, connection = None, None if airframe.on_i2c else connect(sockets())
+        try:
+            if airframe.on_i2c:
+                bus.claim()
+        except BusInUse as error:
+            in_use, connection = error, connect(sockets())
         with ExitStack() as stack:
-            try:
-                if airframe.on_i2c:
-                    bus.claim()
-            except BusInUse as error:
-                connection = connect(sockets())
-                if connection is None:
-                    raise ConfigError(f"{error}: sudo systemctl stop msp-range, then again") from None
+            if connection is not None:
                 stack.enter_context(connection)
                 live: Live = RunningBridge(connection, self.clock.now)
+            elif in_use is not None:
+                raise ConfigError(f"{in_use}: sudo systemctl stop msp-range, then again")
             else:
                 stack.callback(bus.close)
                 transport = self.make_transport(airframe.link.url, self.clock)

@@ -18,12 +18,10 @@ INDENT = 9
 """Columns of the verdict in front of a finding [characters]."""
 
 
-def lines_of(finding: Finding) -> list[str]:
-    """A finding for a person, at most 80 columns wide."""
-    lines = wrapped(f"{finding.verdict.value:<{INDENT}}", f"{finding.step}: {finding.text}")
-    if finding.remedy is not None:
-        lines += wrapped(" " * INDENT + "-> ", finding.remedy)
-    return lines
+def text_of(finding: Finding) -> str:
+    """A finding for a person, with the remedy in a line of its own."""
+    text = f"{finding.verdict.value:<{INDENT}}{finding.step}: {finding.text}"
+    return text if finding.remedy is None else f"{text}\n{'':{INDENT}}-> {finding.remedy}"
 
 
 def show(path: Path, computer: Computer, as_json: bool, bench: bool = False) -> int:
@@ -32,7 +30,7 @@ def show(path: Path, computer: Computer, as_json: bool, bench: bool = False) -> 
     for finding in measure(path) if bench else examine(path, computer, SystemClock()):
         findings.append(finding)
         if not as_json:
-            print("\n".join(lines_of(finding)), flush=True)
+            print(*wrapped(text_of(finding)), sep="\n", flush=True)
     counts = Counter(finding.verdict.value for finding in findings)
     if as_json:
         print(json.dumps({"findings": [asdict(finding) for finding in findings], "counts": counts}, indent=2))
@@ -48,9 +46,9 @@ def show_preflight(path: Path, computer: Computer, as_json: bool) -> int:
     if as_json:
         print(json.dumps({"go": not against, "findings": [asdict(finding) for finding in findings]}, indent=2))
         return int(bool(against))
-    print("\n".join(wrapped("NO-GO    ", ", ".join(each.step for each in against)) or ["GO"]))
+    print(*wrapped(f"NO-GO    {', '.join(each.step for each in against)}" if against else "GO"), sep="\n")
     for finding in sorted(findings, key=lambda each: (each not in against, each.verdict is RIGHT)):
         # One screen: of what is right the first line is enough, but for the heights, which the pilot is to read.
         shown = 1 if finding.verdict is RIGHT and finding.step != "heights" else None
-        print("\n".join(lines_of(finding)[:shown]))
+        print(*wrapped(text_of(finding))[:shown], sep="\n")
     return int(bool(against))

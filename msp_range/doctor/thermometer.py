@@ -7,6 +7,7 @@ from msp_range.correction.temperature import COLDEST_C, HOTTEST_C, FileSource, T
 from msp_range.correction.thermometer import read_thermometer
 from msp_range.doctor.computer import Computer
 from msp_range.doctor.finding import Finding, first_of, unknown, wrong
+from msp_range.pilot_texts import NAME_THERMOMETER
 
 INSIDE = ("cpu", "core", "soc", "gpu", "k10temp", "acpi", "nvme", "rp1", "pmic", "bcm2", "wifi", "iwl", "phy")
 """Parts of the names of thermometers inside of computers: their chips, and no air."""
@@ -19,7 +20,7 @@ def check_files(computer: Computer, temperature: TemperatureParameters) -> Itera
         yield unknown(
             "thermometer",
             f"none is named: {temperature.fixed_c:g} C is used, and each degree of difference costs 0.18 %",
-            "name one under temperature.sources (docs/flying.md)",
+            NAME_THERMOMETER,
         )
     for source in temperature.sources:
         if isinstance(source, FileSource):

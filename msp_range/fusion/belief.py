@@ -90,7 +90,7 @@ class Surface:
         self.began_m = self.marked_m = ground.height_m
         self.mark: Mark | None = None
         self.seen_s = self.kept_s = self.least_s = float("-inf")
-        self.raw: int | None = None
+        self.raw: float | None = None
         self.same = 0.0
         self.again = 0.0
 
@@ -209,7 +209,7 @@ class Belief:
                 best, most = surface, sees
         return best
 
-    def hit(self, mode: SensorMode, surface: Surface, density: float, raw: int | None, least: bool) -> None:
+    def hit(self, mode: SensorMode, surface: Surface, density: float, raw: float | None, least: bool) -> None:
         """A reading is of a surface; ``least``: it stands for this range or less, as on the ground."""
         mode.count_outlier(False)
         if least:
@@ -238,7 +238,7 @@ class Belief:
             if other is not surface and other in self.surfaces and not is_apart:
                 surface = self._merge(surface, other)
 
-    def start(self, mode: SensorMode, height_m: float, variance_m2: float, view: View, raw: int | None) -> Surface:
+    def start(self, mode: SensorMode, height_m: float, variance_m2: float, view: View, raw: float | None) -> Surface:
         """A reading is of nothing known: perhaps of a new surface."""
         if self.surfaces:
             mode.count_outlier(True)
@@ -444,7 +444,7 @@ class Belief:
             if surface is not self.proven and surface.filter.height_m < LOW_M:
                 surface.common = max(surface.common, math.log(COMMON_AGAIN))
 
-    def _appraise(self, surface: Surface, raw: int | None) -> None:
+    def _appraise(self, surface: Surface, raw: float | None) -> None:
         """How probable a new surface is as the ground and as a fault, by where the ground should be, and its answer."""
         surface.common = _common(surface)
         self._place(surface)
@@ -456,7 +456,7 @@ class Belief:
             # What did not answer to the motion may be here now.
             surface.common = max(surface.common, self.proven.common + UNANSWERED - self.proven.response.log_odds)
 
-    def _began_late(self, mode: SensorMode, surface: Surface, raw: int | None) -> None:
+    def _began_late(self, mode: SensorMode, surface: Surface, raw: float | None) -> None:
         """A sensor sees a surface for the first time, perhaps with the answer of its ping before."""
         if self.proven is None or raw is None:
             return
@@ -469,7 +469,7 @@ class Belief:
         for each in self.surfaces:
             each.response.suspect_late(nats)
 
-    def _update_same(self, surface: Surface, raw: int | None) -> None:
+    def _update_same(self, surface: Surface, raw: float | None) -> None:
         if surface.raw is None or raw is None:
             return
         if raw != surface.raw:

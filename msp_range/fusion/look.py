@@ -44,9 +44,9 @@ class Look(NamedTuple):
         """What one step of the raw answer is [m]."""
         return self.range_m / self.reading.raw if self.reading.raw else 1.0
 
-    def garbled_words(self, raw: int) -> tuple[int, ...]:
+    def garbled_words(self, raw: float) -> tuple[int, ...]:
         """Answers that bytes lost on the bus would make this one of."""
-        return self.mode.mounted.garbled_from(raw)
+        return self.mode.mounted.garbled_from(int(raw))
 
     def garbled_m(self, seen: Seen) -> list[float]:
         """How much higher the vehicle would be, were the answer garbled on the bus [m]."""

@@ -296,8 +296,8 @@ class SensorMode:
         self._offs_m: deque[float | None] = deque(maxlen=OF_THE_LAST)
         self.is_ground_in_doubt = False
         self._on_ground = 0
-        self.last_raw: int | None = None
-        self._raw: int | None = None
+        self.last_raw: float | None = None
+        self._raw: float | None = None
         self._range_m: float | None = None
         self._times = self._others = 0
         self._level: Surface | None = None
@@ -331,7 +331,7 @@ class SensorMode:
         return self._fixed_m is not None
 
     @property
-    def fixed_raw(self) -> int | None:
+    def fixed_raw(self) -> float | None:
         """Its answer by what is fixed to the vehicle, while it sees that."""
         return None if self._fixed_m is None or self._others else self.last_raw
 
@@ -369,7 +369,7 @@ class SensorMode:
 
     def is_stuck(
         self,
-        raw: int,
+        raw: float,
         range_m: float | None,
         others_see: "Surface | None",
         motion: VerticalMotion,

@@ -50,7 +50,7 @@ class Sighting(NamedTuple):
     """Height of the reference point over level ground by this reading alone [m]; None without a range."""
     std_m: float
     """Standard deviation of the reading [m]; 0 without a range."""
-    raw: int | None
+    raw: float | None
     """The sensor's answer."""
     climb_m_s: float
     """How fast the vehicle climbs by all sensors [m/s]; of a single one by its barometer, 0 where there is none."""

@@ -112,7 +112,7 @@ class _Sensor:
     # others [m], or of a single sensor its own.
     x, x_s = 0.0, -math.inf
     seen_m: float | None = None
-    raw: int | None = None
+    raw: float | None = None
     time_s = -math.inf
     height_m: float | None = None
     # The probability that it was short, where it was and waits for the next one.

@@ -2,9 +2,10 @@
 follows them.
 
 ArduPilot reports the distance and the health of its range finder, and the ratio of the innovation to its limit only
-where range is its source of height, or with optical flow (`NavEKF3_core::send_status_report`). PX4 reports its height
-above the ground, and that ratio where range gives it its terrain (`EKF2.cpp`, `streams/ALTITUDE.hpp`). What is not
-reported is said to be so, and nothing is inferred from it.
+with optical flow, or where `EK3_RNG_USE_HGT` makes range its source of height, which is while it takes off or lands;
+that ratio is the last one from before (`NavEKF3_core::send_status_report`, `EstimateTerrainOffset`). PX4 reports its
+height above the ground, and that ratio where range gives it its terrain (`EKF2.cpp`, `streams/ALTITUDE.hpp`). What is
+not reported is shown to be so, and nothing is inferred from it.
 """
 
 import math

@@ -207,7 +207,7 @@ class SensorModel(Section):
 
     resolution_cm: float = Field(ge=0.01, le=100.0)
     """Step of the readings [cm], which are whole multiples of it: whole centimetres, or a whole number of steps in one.
-    The drivers answer whole centimetres; a finer step is that of measured readings."""
+    A finer step than that of the driver's answers is that of measured readings."""
 
     calibration_temperature_c: float = Field(ge=-20.0, le=50.0)
     """Air temperature that the sensor's own conversion to range assumes [deg C]; left out for light and radio."""
@@ -333,8 +333,9 @@ class SensorModel(Section):
 
     @property
     def answered_cm(self) -> float:
-        """Step of what a driver answers [cm]: whole centimetres, however fine the readings that were characterised."""
-        return max(self.resolution_cm, 1.0)
+        """Step of what a driver answers [cm], however fine the readings that were characterised."""
+        driver = find_driver(self.driver)
+        return max(self.resolution_cm, 1.0 if driver is None else 1.0 / driver.per_cm)
 
     @cached_property
     def calibration_curve(self) -> Calibration:

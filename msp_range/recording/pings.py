@@ -154,8 +154,8 @@ def _of_table(path: Path, data: MeasuredData, models: Mapping[str, SensorModel])
         own, model = data.select(data["sensor"] == name), models.get(name) or load_sensor_model(next(iter(DRIVERS)))
         _check(path, name, own["time_s"], own["reading_cm"], ("time_s", "reading_cm"))
         pings[name] = [
-            _ping_of(model, time_s, None if word != word else int(word))
-            for time_s, word in zip(own["time_s"].tolist(), np.rint(own["reading_cm"]).tolist(), strict=True)
+            _ping_of(model, time_s, _answer_cm(reading_cm, model))
+            for time_s, reading_cm in zip(own["time_s"].tolist(), own["reading_cm"].tolist(), strict=True)
         ]
     known = data.select(~np.isnan(data.column("air_temperature_c")))
     humidity_pct = np.nan_to_num(known.column("humidity_pct"))
@@ -164,7 +164,15 @@ def _of_table(path: Path, data: MeasuredData, models: Mapping[str, SensorModel])
     return Recorded(pings, air)
 
 
-def _ping_of(model: SensorModel, echo_s: float, raw: int | None) -> RecordedPing:
+def _answer_cm(reading_cm: float, model: SensorModel) -> float | None:
+    """A reading as a driver answers it [cm]; None where it is no number."""
+    if reading_cm != reading_cm:
+        return None
+    per_cm = round(1.0 / min(model.answered_cm, 1.0))
+    return round(reading_cm) if per_cm == 1 else round(reading_cm * per_cm) / per_cm
+
+
+def _ping_of(model: SensorModel, echo_s: float, raw: float | None) -> RecordedPing:
     """The ping of an answer: half a time of flight before the echo, if there was one."""
     timing = model.timing
     # A flag above the centimetres is no other time.

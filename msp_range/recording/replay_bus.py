@@ -92,7 +92,7 @@ class _Sensor:
         self._pings: Iterator[RecordedPing] = iter(pings)
         self.next = next(self._pings, None)
         self.playback = playback
-        self.raw: int | None = playback.first_raw
+        self.raw: float | None = playback.first_raw
         self.busy_until_s = float("-inf")
 
     def ping(self, now_s: float, ping: RecordedPing) -> None:

@@ -35,7 +35,7 @@ RANGE_PREFIX = "/range/"
 TRUTH_PREFIX = "/truth/"
 _TYPES: dict[str, type] = {
     "suspect": bool,
-    **dict.fromkeys(("raw", "attempt", "readings"), int),
+    **dict.fromkeys(("attempt", "readings"), int),
     **dict.fromkeys(("status", "temperature_source", "rejected", "name", "hex", "text", "severity"), str),
     **dict.fromkeys(("event", "point", "planned", *WORD_COLUMNS), str),
 }
@@ -144,7 +144,7 @@ TOPICS = {
             "ping_s": "time of the ping on the bridge's clock [s]",
             "read_s": "time of the last try to read the answer on the bridge's clock [s]",
             "status": "what the answer means",
-            "raw": "the sensor's 16-bit answer; absent where there was none",
+            "raw": "the sensor's own answer [cm]; absent where there was none",
             "suspect": "a legal range that is also a known fault code",
             "range_m": "distance along the beam [m]",
             "std_m": "standard deviation of range_m [m]",

@@ -5,7 +5,7 @@ changes them, its default address, how its address is changed, and how it behave
 """
 
 from abc import abstractmethod
-from typing import ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 from msp_range.bus import Address, Bus, BusError
 from msp_range.clock import Clock
@@ -62,8 +62,8 @@ class RecordedPing(NamedTuple):
 
     ping_s: float
     """Time of the ping [s]."""
-    word: int | None
-    """The sensor's 16-bit answer; None if there was none."""
+    word: float | None
+    """The sensor's answer [cm]; None if there was none."""
     ready_s: float
     """Time from the ping until the sensor answers again [s]. Zero without an answer: the ping was not acknowledged."""
 
@@ -78,8 +78,9 @@ class Playback(Protocol):
         """Whether writing ``data`` starts a measurement, depending on whether one is running; None: not
         acknowledged."""
 
-    def answer(self, count: int, raw: int, ranging: bool) -> bytes | None:
-        """``count`` bytes of the answer that was recorded as ``raw``; None: not acknowledged."""
+    def answer(self, count: int, raw: Any, ranging: bool) -> bytes | None:
+        """``count`` bytes of the answer that was recorded as ``raw`` [cm], an int from a driver of whole centimetres;
+        None: not acknowledged."""
 
 
 class Driver(RangeSensor):
@@ -95,6 +96,8 @@ class Driver(RangeSensor):
 
     is_serial: ClassVar[bool] = False
     """Whether it is on a serial port of its own, see `SerialDriver`."""
+    per_cm: ClassVar[int] = 1
+    """Steps of its answers in a centimetre."""
     part: ClassVar[str]
     """The part's name with its article, for messages."""
     default_address: ClassVar[int]

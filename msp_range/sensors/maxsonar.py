@@ -28,8 +28,6 @@ class MaxSonar(SerialDriver):
 
     digits: ClassVar[int]
     """Digits of the range."""
-    per_cm: ClassVar[int]
-    """Its steps per centimetre."""
     minimum_cm: ClassVar[int]
     """Shortest report [cm]: nearer objects give it too."""
     no_echo_cm: ClassVar[int]
@@ -58,20 +56,23 @@ class MaxSonar(SerialDriver):
         return self.decode(self.word(lines[-1] if lines else rest))
 
     @classmethod
-    def word(cls, line: bytes) -> int:
-        """A line without its carriage return as the one number that is recorded and decoded: whole centimetres.
+    def word(cls, line: bytes) -> float:
+        """A line without its carriage return as the one number that is recorded and decoded [cm].
 
         Examples
         --------
         >>> MaxSonarMm.word(b"R1234"), MaxSonarMm.word(b"R5000"), MaxSonarCm.word(b"R1234") == GARBLED
-        (123, 500, True)
+        (123.4, 500, True)
         """
         if not re.fullmatch(rb"R\d{%d}" % cls.digits, line):
             return GARBLED
-        return round(int(line[1:]) / cls.per_cm)
+        if line + b"\r" == cls.line(cls.no_echo_cm):
+            return cls.no_echo_cm
+        whole, rest = divmod(int(line[1:]), cls.per_cm)
+        return whole + rest / cls.per_cm if rest else whole
 
     @classmethod
-    def decode(cls, word: int) -> Decoded:
+    def decode(cls, word: float) -> Decoded:
         """What a recorded word means.
 
         Examples
@@ -86,9 +87,9 @@ class MaxSonar(SerialDriver):
         return Decoded(Status.AT_MINIMUM if word == cls.minimum_cm else Status.OK, word / 100, word)
 
     @classmethod
-    def line(cls, word: int) -> bytes:
+    def line(cls, word: float) -> bytes:
         """The line of a recorded word; that of `GARBLED` is none."""
-        number = min(word * cls.per_cm, 10**cls.digits - 1)
+        number = min(round(word * cls.per_cm), 10**cls.digits - 1)
         return b"?\r" if word == GARBLED else f"R{number:0{cls.digits}d}\r".encode()
 
     @classmethod
@@ -108,7 +109,7 @@ class _Playback:
     def starts(self, data: bytes, ranging: bool) -> bool | None:
         return not ranging
 
-    def answer(self, count: int, raw: int, ranging: bool) -> bytes | None:
+    def answer(self, count: int, raw: float, ranging: bool) -> bytes | None:
         return None if ranging else self._family.line(raw)
 
 

@@ -4,11 +4,11 @@ The bridge makes them for each status, and sends them with it (`status_facts`). 
 changes with each reading, so a watcher makes its field of the newest record (`facts_of`).
 """
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from msp_range.acoustics.air import source_in_words
 from msp_range.bridge import Bridge
 from msp_range.mavlink.transport import Transport
 from msp_range.watch.newest import Newest
@@ -50,7 +50,7 @@ def status_facts(bridge: Bridge, transport: Transport, recording: Path | None, u
         Time since the bridge was started [s].
     """
     air, link = bridge.air, bridge.link
-    text = f" {air.temperature_c:z.1f} C, deviation {air.std_c:.1f} C, from {_source_name(air.source)}"
+    text = f" {air.temperature_c:z.1f} C, deviation {air.std_c:.1f} C, {source_in_words(air.source)}"
     temperature_c = "Air temperature of the correction.", air.temperature_c
     yield Fact("air", text, {"msp_range_air_temperature_c": temperature_c})
     is_there = link.autopilot_is_present
@@ -80,20 +80,6 @@ def facts_of(newest: Newest) -> Iterator[Fact]:
         yield Fact(DISTANCE, ": none", {}, in_list=False)
     for field in newest.status.get("facts", []):
         yield Fact(**field)
-
-
-def _source_name(source: str) -> str:
-    """A temperature source for a person: of a thermometer's file the kernel's name of the device.
-
-    Examples
-    --------
-    >>> _source_name("/sys/bus/i2c/devices/1-0044/hwmon/hwmon*/temp1_input"), _source_name("/run/outside")
-    ('thermometer 1-0044', 'thermometer outside')
-    """
-    if "/" not in source:
-        return source
-    device = re.search("/(?:devices|hwmon|thermal)/([^/]+)/", source)
-    return f"thermometer {device[1] if device else source.rpartition('/')[2]}"
 
 
 def _distance_fact(newest: Newest, fused: dict[str, Any]) -> Fact:

@@ -86,7 +86,7 @@ def _wrong(newest: Newest) -> Iterator[tuple[str, str]]:
             yield f"   so {fault['text']}", style
         else:
             yield f"{fault['severity']}: {fault['text']}", f"bold {style}"
-            yield "\n".join(wrapped("   -> ", fault["remedy"])), ""
+            yield "\n".join(wrapped(f"   -> {fault['remedy']}")), ""
 
 
 def _sensors(newest: Newest) -> Table:

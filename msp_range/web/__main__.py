@@ -22,7 +22,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m msp_range.web")
     parser.add_argument("listen", metavar="[HOST:]PORT")
     parser.add_argument("--socket", type=Path, required=True)
-    parser.add_argument("--unit", help="systemd's unit of the bridge, to say why it does not run")
+    parser.add_argument("--unit", help="systemd's unit of the bridge, to show why it does not run")
     parser.add_argument("--log", choices=["text", "json"], default="text")
     options = parser.parse_args()
     log = Log(options.log)

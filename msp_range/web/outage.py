@@ -43,6 +43,10 @@ def _fault(unit: Unit) -> dict[str, Any]:
     'No distances: a.service is failed, exit code 2'
     >>> _fault({"Id": "a", "ActiveState": "failed", "StatusText": "a.yaml:3: speed: unknown key"})["text"]
     'No distances: a.yaml:3: speed: unknown key'
+    >>> _fault({"Id": "a", "ActiveState": "activating", "ExecMainStatus": "0", "StatusText": "good"})["text"]
+    'No distances: a is activating, exit code 0'
+    >>> _fault({"Id": "a", "ActiveState": "deactivating"})["remedy"]
+    'sudo systemctl start a'
     """
     name, state, reason = (unit.get(key, "") for key in ("Id", "ActiveState", "StatusText"))
     text, remedy = "no bridge runs", "start it: msp-range run AIRFRAME.yaml"

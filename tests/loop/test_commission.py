@@ -4,7 +4,6 @@ The sensors answer on a bus, an autopilot sends how the vehicle is tilted, and a
 and measures. What is mounted is true; the file has the mistake.
 """
 
-import io
 import json
 import re
 import socket
@@ -14,7 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from msp_range.bus.smbus import BusInUse
 from msp_range.clock import Clock, VirtualClock
+from msp_range.commission import command, session
 from msp_range.commission.command import commission
 from msp_range.commission.session import Session
 from msp_range.commission.state import PassedSteps
@@ -64,9 +65,7 @@ class Vehicle:
         """Do these steps; their reports by name."""
         reports: dict[str, dict[str, object]] = {}
         for step in steps:
-            out = io.StringIO()
-            commission(self.session, step, out, as_json=True)
-            reports |= json.loads(out.getvalue())["steps"]
+            reports |= json.loads(json.dumps(commission(self.session, step)))["steps"]
         return reports
 
     def printed(self, step: str) -> str:
@@ -74,12 +73,12 @@ class Vehicle:
         self.commission(step)
         return self.shown
 
-    def commission(self, step: str | None = None) -> int:
-        """Do the next steps, or one, for a person who reads; the exit code."""
-        out = io.StringIO()
-        code = commission(self.session, step, out, as_json=False)
-        self.shown = " ".join(out.getvalue().split())
-        return code
+    def commission(self, step: str | None = None) -> bool:
+        """Do the next steps, or one, for a person who reads; whether all have passed."""
+        self.person.shown.clear()
+        steps = commission(self.session, step)["steps"]
+        self.shown = " ".join(" ".join(self.person.shown).split())
+        return all(each["passed"] for each in steps.values())
 
     def computer(self) -> None:
         """Have the computer that doctor looks at."""
@@ -239,7 +238,7 @@ def test_a_vehicle_on_high_legs_gets_its_standing_height(tmp_path: Path, monkeyp
     vehicle = Vehicle(tmp_path, GOOD, GOOD, seed=4)
     vehicle.computer()
     vehicle.held.parameters = dict(COPTER)
-    assert vehicle.commission() == 1
+    assert not vehicle.commission()
     (asked,) = [each for each in vehicle.person.asked if "RNGFND1" not in each and "link.system_id" not in each]
     assert "standing on the floor" in asked
     assert vehicle.airframe.send.standing_m == pytest.approx(0.36, abs=0.015)
@@ -296,14 +295,65 @@ def test_nothing_goes_on_while_the_vehicle_is_armed(tmp_path: Path) -> None:
     assert vehicle.path.read_text() == SWAPPED
 
 
+def test_a_vehicle_that_was_armed_before_the_answer_is_not_changed(tmp_path: Path) -> None:
+    vehicle = Vehicle(tmp_path, GOOD, SWAPPED, seed=6)
+
+    def agrees(text: str) -> bool:
+        vehicle.held.armed = True
+        return True
+
+    vehicle.person.agrees_to = agrees
+    with pytest.raises(ConfigError, match="disarm"):
+        vehicle.do("addresses")
+    assert vehicle.path.read_text() == SWAPPED
+
+
+def test_a_change_that_makes_the_file_invalid_is_taken_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle = Vehicle(tmp_path, GOOD, SWAPPED, seed=6)
+
+    def refuse(path: Path) -> Airframe:
+        raise ConfigError("not valid")
+
+    monkeypatch.setattr(command, "load_airframe", refuse)
+    with pytest.raises(ConfigError, match=r"nothing was changed, .*\nnot valid"):
+        vehicle.do("addresses")
+    assert vehicle.path.read_text() == SWAPPED
+
+
+@pytest.mark.parametrize("is_serial", [True, False])
+def test_the_bus_is_claimed_for_sensors_on_it_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_serial: bool
+) -> None:
+    text = (CONFIGS / "serial_down.yaml").read_text().replace("sensors/mb1240.yaml", "mb1240") if is_serial else GOOD
+    vehicle = Vehicle(tmp_path, text, text, seed=6)
+
+    class Used(EmulatedBus):
+        def claim(self) -> None:
+            raise BusInUse(self.path, 16, "in use by another program")
+
+    vehicle.session.make_bus = lambda bus: Used(vehicle.held)
+    if is_serial:
+        vehicle.session.check_disarmed()
+    else:
+        with pytest.raises(ConfigError, match="in use by another program: sudo systemctl stop"):
+            vehicle.session.check_disarmed()
+    # A bridge that runs has the bus, or the ports.
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    monkeypatch.setattr(session, "connect", lambda paths: theirs)
+    ours.send(json.dumps({"topic": "/airframe", "time_s": 0.0, "message": {"sensors": []}}).encode())
+    with pytest.raises(ConfigError, match="the running bridge has other sensors"):
+        vehicle.session.check_disarmed()
+    ours.close()
+
+
 @pytest.mark.parametrize("step", ["bench", "parameters"])
 def test_who_has_the_only_connection_of_the_autopilot_is_named(tmp_path: Path, step: str) -> None:
     """Its server takes one client at a time, as a serial port of ArduPilot's simulator does: others receive nothing."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         code = f"import socket; s = socket.create_connection(('127.0.0.1', {port})); print(flush=True); input()"
-        command = [sys.executable, "-c", code, "msp-range", "commission"]
-        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
+        holds = [sys.executable, "-c", code, "msp-range", "commission"]
+        with subprocess.Popen(holds, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
             assert holder.stdout is not None
             holder.stdout.readline()
             link = f"tcp:127.0.0.1:{port}"
@@ -370,7 +420,7 @@ def test_a_parameter_that_is_refused_or_not_known_leaves_the_step_open(tmp_path:
     known = {name: value for name, value in COPTER.items() if name != "RNGFND1_ORIENT"}
     vehicle.held.parameters = known | {"RNGFND1_TYPE": 0.0}
     vehicle.person.agrees_to = lambda text: False
-    assert vehicle.commission("parameters") == 1
+    assert not vehicle.commission("parameters")
     assert "wrong RNGFND1_TYPE: left as it was: RNGFND1_TYPE: 0 -> 10" in vehicle.shown
     assert "wrong RNGFND1_ORIENT: RNGFND1_ORIENT: not known by this autopilot; expected 25" in vehicle.shown
     assert vehicle.held.parameters["RNGFND1_TYPE"] == 0.0
@@ -419,7 +469,7 @@ def test_the_whole_sequence_goes_on_where_it_stopped(tmp_path: Path) -> None:
     vehicle = Vehicle(tmp_path, GOOD, in_file, seed=9)
     vehicle.computer()
     vehicle.held.parameters = COPTER | {"RNGFND1_TYPE": 0.0}
-    assert vehicle.commission() == 1
+    assert not vehicle.commission()
     passed = json.loads((tmp_path / "airframe.commission.json").read_text())["steps"]
     assert list(passed) == ["wires", "addresses", "bench", "parameters", "lift"]
     assert vehicle.held.parameters == pytest.approx(COPTER)
@@ -435,10 +485,10 @@ def test_the_whole_sequence_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert PassedSteps.of(vehicle.path).next_step(vehicle.airframe) == "hover"
 
     vehicle.session.recording = flown(tmp_path, vehicle)
-    assert vehicle.commission() == 0
+    assert vehicle.commission()
     assert "2 of 7 steps to do: hover, review" in vehicle.shown
     assert "all steps passed" in vehicle.shown
-    assert vehicle.commission() == 0
+    assert vehicle.commission()
 
 
 def test_a_hover_whose_distances_were_not_sent_is_as_good(tmp_path: Path) -> None:

@@ -5,7 +5,8 @@ import re
 import pytest
 
 from msp_range.doctor import bench
-from msp_range.doctor.command import lines_of
+from msp_range.doctor.command import text_of
+from msp_range.terminal import wrapped
 from tests.support.shipped import CONFIGS
 from tests.support.slow import slow
 
@@ -22,4 +23,4 @@ def test_the_figures(airframe: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "readings a second" in findings["processor"].text
     assert not re.search("at 0.0 readings", findings["processor"].text)
     assert 5.0 < figures["memory"] < 2000.0
-    assert all(len(line) <= 80 for each in findings.values() for line in lines_of(each))
+    assert all(len(line) <= 80 for each in findings.values() for line in wrapped(text_of(each)))

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common
 
 from msp_range import check
 from msp_range.bridge import Bridge, Step
-from msp_range.bus import Address, BusError
+from msp_range.bus import Address, BusError, serial_ports
 from msp_range.bus.serial_ports import SerialPorts, open_port
 from msp_range.bus.smbus import KernelBus
 from msp_range.clock import VirtualClock
@@ -21,12 +21,18 @@ from msp_range.config import Airframe
 from msp_range.doctor.finding import RIGHT
 from msp_range.doctor.sensors import examine_sensors
 from msp_range.reading import Status
+from msp_range.recording.csv_form import write_csv
+from msp_range.recording.export import measured_data
+from msp_range.recording.pings import read_recorded
+from msp_range.recording.reader import Recording
+from msp_range.recording.writer import Recorder
+from msp_range.replay import Nowhere, replay
 from msp_range.sensors.base import AddressError
 from msp_range.sensors.maxsonar import GARBLED, MaxSonar, MaxSonarCm, MaxSonarMm, MaxSonarMm10m
 from msp_range.sensors.table import DRIVERS
 from msp_range.yaml_file import ConfigError
-from msp_sim.device.device import Fault
-from msp_sim.device.maxsonar import EmulatedMaxSonarCm
+from msp_sim.device.device import Fault, NotAcknowledged
+from msp_sim.device.maxsonar import EmulatedMaxSonarCm, Unplugged
 from msp_sim.device.pty_port import PtyPort
 from msp_sim.device.table import EMULATED
 from tests.support.bench import Bench, Wire, airframe, assert_reported, sensor
@@ -79,16 +85,20 @@ def answers(family: type[MaxSonar], *pieces: bytes) -> list[tuple[Status, float 
         (MaxSonarCm, b"R2580", (Status.IMPOSSIBLE, None)),
         (MaxSonarCm, b"R 58", (Status.IMPOSSIBLE, None)),
         (MaxSonarCm, b"R25\xb2", (Status.IMPOSSIBLE, None)),
-        (MaxSonarMm, b"R2584", (Status.OK, 2.58)),
+        (MaxSonarMm, b"R2584", (Status.OK, 2.584)),
+        (MaxSonarMm, b"R0299", (Status.IMPOSSIBLE, None)),
+        (MaxSonarMm, b"R5001", (Status.IMPOSSIBLE, None)),
         (MaxSonarMm, b"R0300", (Status.AT_MINIMUM, 0.30)),
         (MaxSonarMm, b"R5000", (Status.NO_ECHO, None)),
         (MaxSonarMm, b"R258", (Status.IMPOSSIBLE, None)),
         (MaxSonarMm10m, b"R5000", (Status.OK, 5.0)),
+        (MaxSonarMm10m, b"R9998", (Status.OK, 9.998)),
         (MaxSonarMm10m, b"R9999", (Status.NO_ECHO, None)),
     ],
 )
 def test_what_a_line_means(family: type[MaxSonar], line: bytes, expected: tuple[Status, float | None]) -> None:
-    assert answers(family, line + b"\r") == [expected]
+    ((status, range_m),) = answers(family, line + b"\r")
+    assert (status, range_m and round(range_m, 6)) == expected
 
 
 @pytest.mark.parametrize(
@@ -111,9 +121,18 @@ def test_what_of_the_bytes_is_a_line(pieces: list[bytes], expected: list[tuple[S
     assert answers(MaxSonarCm, *pieces) == expected
 
 
+def test_the_beginning_of_a_line_from_before_a_ping_is_dropped() -> None:
+    driver = MaxSonarCm(Arriving(b"R2", b"58\r"), PORT)
+    for _ in range(2):
+        driver.ping()
+        with pytest.raises(BusError):
+            driver.answer()
+
+
 @pytest.mark.parametrize("family", FAMILIES)
 def test_every_recorded_word_is_played_as_the_line_that_gives_it_again(family: type[MaxSonar]) -> None:
-    for word in [*range(family.minimum_cm, family.no_echo_cm + 1), GARBLED]:
+    steps = range(family.minimum_cm * family.per_cm, family.no_echo_cm * family.per_cm - 1)
+    for word in [*(step / family.per_cm for step in steps), family.no_echo_cm, GARBLED]:
         line = family.playback().answer(64, word, ranging=False)
         assert line is not None
         assert line.endswith(b"\r")
@@ -212,6 +231,18 @@ def test_a_program_that_stood_still_reads_nothing_old() -> None:
             assert min(abs(echo_s - ping_s) for ping_s in pinged_s) < 0.004
 
 
+def test_a_line_that_waited_while_the_program_stood_still_is_dropped() -> None:
+    """Each pause ends within the time that an answer may take, so that this alone is late."""
+    flown = bench().fly(1.0)
+    for _ in range(20):
+        before = len(flown.steps)
+        flown.clock.sleep_until(flown.clock.now() + 0.06)
+        flown.fly(flown.now() + 0.13)
+        for step in flown.steps[before:]:
+            echo_s = step.ranging.reading.time_s - 50.0 - 0.5 * 3.0 * 5.8e-3
+            assert min(abs(echo_s - ping_s) for ping_s, _, _ in flown.pings) < 0.03
+
+
 SILENT = [
     ("half_line", "no_answer", "no answer (errno 11)"),
     ("noise", "impossible", "impossible answers"),
@@ -275,6 +306,19 @@ def test_driver_and_emulated_device_agree(name: str) -> None:
     sent = device(PORT, lambda: time_s, lambda ping_s: driver.no_echo_cm - 1)
     time_s = device.default_timing.no_echo_s
     assert driver.word(sent.read(64).rstrip(b"\r")) == driver.no_echo_cm - 1
+
+
+def test_an_emulated_sensor_gives_what_is_asked_for_and_forgets_what_was_on_its_wire() -> None:
+    time_s = 0.0
+    sonar = EmulatedMaxSonarCm(PORT, lambda: time_s, lambda ping_s: 258, faults=[Fault("unplugged", 0.1, 0.11)])
+    time_s = 0.099
+    assert sonar.read(2) == b"R2"
+    time_s = 0.1
+    with pytest.raises(Unplugged):
+        sonar.read(64)
+    time_s = 0.12
+    with pytest.raises(NotAcknowledged):
+        sonar.read(64)
 
 
 # --- on a real pseudoterminal ---
@@ -375,6 +419,37 @@ def test_a_port_serves_one_program(tmp_path: Path) -> None:
         second.close()
 
 
+def test_a_ping_drops_what_has_arrived(tmp_path: Path) -> None:
+    with flight(tmp_path) as flown:
+        flown.fly(0.5)
+        address = f"serial:{tmp_path / 'ttyUSB0'}:9600"
+        for _ in range(60):
+            flown.clock.sleep_until(flown.clock.now() + 0.003)
+        assert flown.bus.busy_s(address) == 0.0
+        flown.bus.write(address, b"")
+        with pytest.raises(BusError) as caught:
+            flown.bus.read(address, 64)
+    assert caught.value.errno == errno.EAGAIN
+
+
+def test_a_port_whose_read_fails_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(file: int, count: int) -> bytes:
+        raise OSError(errno.EIO, "unplugged")
+
+    with flight(tmp_path) as flown:
+        flown.fly(0.5)
+        address = f"serial:{tmp_path / 'ttyUSB0'}:9600"
+        with monkeypatch.context() as patched:
+            patched.setattr(serial_ports.os, "read", fail)
+            with pytest.raises(BusError) as caught:
+                flown.bus.read(address, 64)
+        assert caught.value.errno == errno.EIO
+        with pytest.raises(BusError) as caught:
+            flown.bus.read(address, 64)
+        assert caught.value.errno == errno.ENODEV
+        flown.bus.write(address, b"")
+
+
 def test_a_missing_port_and_one_that_was_not_opened() -> None:
     ports = SerialPorts()
     with pytest.raises(BusError) as caught:
@@ -399,11 +474,47 @@ def test_a_check_says_who_pings_itself() -> None:
     assert "a: not pinged; each range is read when the sensor has sent it" in [*check.lines(vehicle())]
 
 
+def millimetres(**changed: Any) -> Airframe:
+    return airframe([one_down(model="sensors/mb7360.yaml")], **({"send": {"sensors": ["a"]}} | changed))
+
+
+def test_millimetres_are_recorded_filtered_and_played_again(tmp_path: Path) -> None:
+    """What is sent has whole centimetres, by the protocol."""
+    path, again, table = tmp_path / "flight.mcap", tmp_path / "again.mcap", tmp_path / "table.csv"
+    recorder = Recorder(path, VirtualClock(50.0))
+    flown = Bench(millimetres(), lambda name, time_s: 258.18 + 0.1 * (time_s > 5.0), recorder=recorder).fly(9.0)
+    recorder.close()
+    readings = [step.ranging.reading for step in flown.steps]
+    assert {each.raw for each in readings} == {258.2, 258.3}
+    assert set(flown.distances_cm(1)) == {258}
+    data = measured_data(Recording(path))
+    assert set(data["reading_cm"]) == {258.2, 258.3}
+    write_csv(table, data)
+    models = {"a": millimetres().sensors[0].sensor_model}
+    assert {ping.word for ping in read_recorded(table, models=models).pings["a"]} == {258.2, 258.3}
+    recorded = read_recorded(path)
+    clock = VirtualClock(recorded.first_ping_s)
+    recorder = Recorder(again, clock)
+    replay(millimetres(), recorded, path, clock, Nowhere(), recorder)
+    recorder.close()
+    kept, played = (
+        [(each["raw"], each.get("filtered_m")) for topic, _, each in Recording(file) if topic == "/range/a"]
+        for file in (path, again)
+    )
+    assert kept[-1][1] == pytest.approx(2.583, abs=1e-3)
+    assert played == kept[: len(played)]
+    assert len(played) == pytest.approx(len(kept), abs=1)
+
+
+def test_what_a_finer_model_has_of_a_sensor_is_not_what_its_driver_answers() -> None:
+    """Its noise includes the rounding to the driver's steps."""
+    assert millimetres().sensors[0].sensor_model.answered_cm == 0.1
+    assert vehicle().sensors[0].sensor_model.model_copy(update={"resolution_cm": 0.1}).answered_cm == 1.0
+
+
 def test_one_that_compensates_is_not_corrected_for_the_air() -> None:
     cold = {"fixed_c": -10.0, "fixed_std_c": 1.0}
-    compensated = airframe(
-        [one_down(model="sensors/mb7360.yaml")], temperature=cold, send={"sensors": ["a"]}, filters=[]
-    )
+    compensated = millimetres(temperature=cold, filters=[])
     plain = vehicle(temperature=cold)
     assert set(Bench(compensated, 300).fly(3.0).distances_cm(1)) == {300}
     assert set(Bench(plain, 300).fly(3.0).distances_cm(1)) == {283}

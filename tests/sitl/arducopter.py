@@ -4,6 +4,7 @@ import math
 import os
 import shlex
 import socket
+import time
 from pathlib import Path
 from typing import ClassVar
 
@@ -33,6 +34,7 @@ class ArduCopter(Autopilot):
     GUIDED, LAND, RTL = 4, 9, 6
     """ArduCopter/mode.h."""
     standing_m = STANDING_RANGE_M
+    top_m = TOP_M
     tolerance_m = 0.5
     wanted: ClassVar = {"SYS_STATUS": 20.0, "SIM_STATE": 50.0, "DISTANCE_SENSOR": 20.0, "EKF_STATUS_REPORT": 5.0}
 
@@ -88,9 +90,9 @@ class ArduCopter(Autopilot):
     def take_off(self) -> None:
         self.get_ready()
         self.station.command_until_accepted("arming", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
-        takeoff = (0, 0, 0, 0, 0, 0, TOP_M)
+        takeoff = (0, 0, 0, 0, 0, 0, self.top_m)
         self.station.command_until_accepted("take-off", mavlink.MAV_CMD_NAV_TAKEOFF, *takeoff)
-        self.wait_for_hover(TOP_M)
+        self.wait_for_hover(self.top_m)
 
     def go_to(self, height_m: float, frame: int = mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT) -> None:
         """In GUIDED; the height above the terrain is what the range finder measures (GCS_MAVLink_Copter.cpp)."""
@@ -155,6 +157,25 @@ class ArduCopter(Autopilot):
             )
             for time_s, status in self.station.all("SYS_STATUS")
         ]
+
+    def parameter(self, name: str) -> float:
+        """The value that it reports of a parameter."""
+        first_s = time.monotonic()
+        self.station.send(mavlink.MAVLink_param_request_read_message(1, 1, name.encode(), -1))
+
+        def values() -> list[float]:
+            return [
+                message.param_value
+                for time_s, message in self.station.all("PARAM_VALUE")
+                if time_s > first_s and message.param_id == name
+            ]
+
+        return self.station.wait(name, values)[-1]
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Set a parameter, and see that it has it."""
+        self.station.send(mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, mavlink.MAV_PARAM_TYPE_REAL32))
+        assert abs(self.parameter(name) - value) < 1e-6, name
 
     def flies_as_commanded(self) -> bool:
         return self.station.is_armed() and self.mode() == self.GUIDED

@@ -88,6 +88,14 @@ class Autopilot(ABC):
             self._process.kill()
             self._process.wait()
 
+    def pause(self) -> None:
+        """Stop the program: it sends nothing."""
+        self._process.send_signal(signal.SIGSTOP)
+
+    def resume(self) -> None:
+        """Let it go on."""
+        self._process.send_signal(signal.SIGCONT)
+
     @property
     def station(self) -> GroundStation:
         """The ground station of the last `connect`."""

@@ -77,6 +77,34 @@ def test_arducopter_has_the_distance_and_does_not_report_its_estimator(tmp_path:
 
 
 @needs_arducopter
+def test_an_arducopter_that_lands_by_range_reports_its_ratio(tmp_path: Path) -> None:
+    """`EK3_RNG_USE_HGT` makes range its source of height only while it takes off or lands (baro_ground_effect.cpp).
+
+    The ratio is then that of the last reading before (`EstimateTerrainOffset` is left out), and does not change.
+    """
+    copter = ArduCopter(tmp_path)
+    copter.top_m = 3.0
+    with (tmp_path / "defaults.parm").open("a") as parameters:
+        parameters.write("EK3_RNG_USE_HGT 70\n")
+    with running(copter):
+        copter.get_ready()
+        with msp_sim(copter, "--record", str(tmp_path / "record")):
+            copter.station.wait("a healthy range finder", lambda: any(good for _, good in copter.healthy()))
+            copter.take_off()
+            copter.wait(5.0)
+            copter.land()
+    found = said(tmp_path / "record")
+    texts = [message["text"] for _, message in found]
+    ratios = [message["ratio"] for _, message in found if "ratio" in message]
+    hovering = next(i for i, (_, message) in enumerate(found) if message.get("received_m", 0.0) > 2.9)
+    assert texts[hovering].endswith("its estimator: not reported by this autopilot")
+    landing = [text for text in texts[hovering:] if "its estimator: ratio 0.0" in text]
+    assert len(landing) > 3, texts[hovering:]
+    assert 0.0 < ratios[-1] < 0.1
+    assert ratios[-len(landing) :] == [ratios[-1]] * len(landing)
+
+
+@needs_arducopter
 def test_an_arducopter_whose_range_finder_looks_elsewhere_receives_nothing(tmp_path: Path) -> None:
     copter = ArduCopter(tmp_path)
     parameters = tmp_path / "defaults.parm"

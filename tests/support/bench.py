@@ -111,7 +111,7 @@ class Bench:
     def __init__(
         self,
         vehicle: Airframe,
-        reading_cm: Callable[[str, float], int] | int = 300,
+        reading_cm: Callable[[str, float], float] | float = 300,
         *,
         faults: Mapping[str, Sequence[Fault]] | None = None,
         others: Sequence[Device] = (),
@@ -119,7 +119,7 @@ class Bench:
         **bridge: Any,
     ) -> None:
         self.clock = VirtualClock(START_S)
-        self.pings: list[tuple[float, str, int]] = []
+        self.pings: list[tuple[float, str, float]] = []
         """Time since the start [s], sensor, and what the world gave it [cm]."""
         self._reading_cm = reading_cm if callable(reading_cm) else lambda name, time_s: reading_cm
         self.sonars = {
@@ -151,7 +151,7 @@ class Bench:
         """Time since the start [s]."""
         return self.clock.now() - START_S
 
-    def _echo(self, name: str, ping_s: float) -> int:
+    def _echo(self, name: str, ping_s: float) -> float:
         reading_cm = self._reading_cm(name, ping_s)
         self.pings.append((ping_s, name, reading_cm))
         return reading_cm

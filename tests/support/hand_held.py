@@ -170,10 +170,10 @@ class HandHeld:
         """Time since the start [s]."""
         return self.clock.now() - self._start_s
 
-    def _under_a_hand(self, name: str, echo: Callable[[float], int], minimum_cm: int) -> Callable[[float], int]:
+    def _under_a_hand(self, name: str, echo: Callable[[float], float], minimum_cm: int) -> Callable[[float], float]:
         axis = next(sensor.boresight for sensor in self.mounted.sensors if sensor.name == name)
 
-        def answer(ping_s: float) -> int:
+        def answer(ping_s: float) -> float:
             reading_cm = self.walls_cm.get(name, echo(ping_s))
             if self.board is not None:
                 pitch, yaw = (math.radians(each) for each in SIDES[self.board])
@@ -282,10 +282,17 @@ class Person(PersonAtTerminal):
         """Whether she does nothing that she is asked to."""
         self.asked: list[str] = []
         self.instructed: list[str] = []
+        self.shown: list[str] = []
+        self.when: dict[str, Callable[[], object]] = {}
+        """What happens at an instruction, by its text."""
         self.agrees_to: Callable[[str], bool] = lambda text: True
 
     def begin(self, text: str) -> None:
         """She has read it."""
+
+    def show(self, text: str) -> None:
+        """Read what was found."""
+        self.shown.append(text)
 
     def height_m(self, text: str) -> float | None:
         """Put it on a stand, and read the tape to some millimetres."""
@@ -303,6 +310,7 @@ class Person(PersonAtTerminal):
     def instruct(self, text: str) -> None:
         """Move the vehicle as the instruction's first words say."""
         self.instructed.append(text)
+        self.when.get(text, bool)()
         if self.is_idle:
             return
         vehicle, draw = self._vehicle, self._draw

@@ -2,6 +2,7 @@
 
 import errno
 import io
+import json
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -350,9 +351,11 @@ def test_a_flight_with_silence_or_missed_echoes_is_not_right() -> None:
 
 
 def test_what_a_lift_shows_of_the_autopilot() -> None:
-    for late_s, expected in ((0.05, Verdict.RIGHT), (0.2, Verdict.WRONG)):
+    # Of a hover that ArduCopter flew without tilting: 0.77 s, 0.40 to 1.15, which is nothing.
+    late = (0.05, 0.03, Verdict.RIGHT), (0.2, 0.03, Verdict.WRONG), (0.772, 0.372, Verdict.UNKNOWN)
+    for late_s, half_s, expected in late:
         outcome = StepOutcome()
-        compare_lag(Places({}, (), Measured(late_s, 0.03), {}, np.zeros((0, 2))), outcome)
+        compare_lag(Places({}, (), Measured(late_s, half_s), {}, np.zeros((0, 2))), outcome)
         assert [each.verdict for each in outcome.findings] == [expected]
     time_s = np.arange(0.0, 10.0, 0.1)
     nothing = samples_of([])
@@ -410,6 +413,11 @@ def test_the_command_says_what_it_needs(tmp_path: Path, monkeypatch: pytest.Monk
     command = ["msp-range commission", path]
     assert f"<{'|'.join(STEPS)}>" in run(*command, "--help").stdout
     assert "--yes" in run(*command, "--step", "bench", code=3).stderr
+    # One object on standard output, and what a person reads on standard error.
+    done = run(*command, "--step", "hover", "--json", code=1)
+    assert json.loads(done.stdout)["steps"]["hover"]["passed"] is False
+    assert "hover: not passed" in done.stderr
+    assert "hover: not passed" in run(*command, "--step", "hover", code=1).stdout
     assert "--height 72: expected metres" in run(*command, "--yes", "--height", "72", code=3).stderr
     (tmp_path / "airframe.commission.json").write_text("[]")
     assert "remove it to begin anew" in run(*command, code=3).stderr

@@ -1,9 +1,14 @@
-"""The thermometer of a bench with real sensors."""
+"""A bench with real sensors: its thermometer, and what it opens."""
 
+import os
+import pty
 from pathlib import Path
+
+import pytest
 
 from msp_lab.campaigns.bench import KernelBench
 from msp_range.correction.temperature import FileSource
+from msp_range.yaml_file import ConfigError
 from tests.support.waiting import until
 
 
@@ -14,7 +19,7 @@ def test_a_bench_reads_its_thermometer_in_a_thread_and_refuses_no_jump(tmp_path:
     source = FileSource.model_validate(
         {"source": "file", "path": str(file), "period_s": 0.01, "max_age_s": 0.3, "bias_c": 1.0}
     )
-    bench = KernelBench(str(tmp_path / "i2c-1"), source)
+    bench = KernelBench(str(tmp_path / "i2c-1"), [0x70], source)
 
     def read_until(expected_c: float | None) -> None:
         until(lambda: bench.air_c(bench.clock.now()) == expected_c, seen=lambda: bench.air_c(bench.clock.now()))
@@ -29,3 +34,20 @@ def test_a_bench_reads_its_thermometer_in_a_thread_and_refuses_no_jump(tmp_path:
     file.unlink()
     read_until(None)
     bench.close()
+
+
+def test_a_bench_opens_the_ports_of_its_sensors_and_the_bus_only_for_one_on_it(tmp_path: Path) -> None:
+    no_bus = str(tmp_path / "i2c-1")
+    ends = pty.openpty()
+    port = f"serial:{os.ttyname(ends[1])}:9600"
+    bench = KernelBench(no_bus, [port], None)
+    bench.open()
+    with pytest.raises(ConfigError, match=f"{port}: cannot be opened: Device or resource busy; is it plugged in"):
+        KernelBench(no_bus, [port], None).open()
+    bench.close()
+    with pytest.raises(ConfigError, match=f"{no_bus}: cannot be opened: No such file or directory; is I2C"):
+        KernelBench(no_bus, [port, 0x70], None).open()
+    for end in ends:
+        os.close(end)
+    with pytest.raises(ConfigError, match=f"{port}: cannot be opened: No such file or directory; is it plugged in"):
+        KernelBench(no_bus, [port], None).open()

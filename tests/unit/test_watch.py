@@ -10,13 +10,13 @@ from msp_lab.campaigns.watch import FIRST_LOOK, Outlier, PointWatch
 from msp_range.reading import Reading, Status
 
 
-def reading(reading_cm: int) -> Reading:
+def reading(reading_cm: float) -> Reading:
     if reading_cm == 765:
         return Reading(0.0, "a", Status.NO_ECHO, raw=765)
     return Reading(0.0, "a", Status.OK, reading_cm / 100, raw=reading_cm, suspect=reading_cm == 255)
 
 
-def watched(*readings_cm: int, expected_cm: float = 120.0) -> tuple[PointWatch, list[Outlier]]:
+def watched(*readings_cm: float, expected_cm: float = 120.0) -> tuple[PointWatch, list[Outlier]]:
     watch = PointWatch("a", (expected_cm, expected_cm))
     return watch, [found for each in readings_cm if (found := watch.update(reading(each))) is not None]
 
@@ -90,6 +90,12 @@ def test_the_histogram_has_a_line_for_each_centimetre_and_one_for_the_rest() -> 
     counts = [cell.plain for cell in histogram(watch).columns[2].cells]  # type: ignore[union-attr]
     assert labels == ["shorter", "120 cm", "121 cm", "122 cm", "longer", "no echo"]
     assert counts == ["1", "30", "0", "4", "1", "1"]
+
+
+def test_readings_in_millimetres_are_counted_by_the_centimetre() -> None:
+    watch, _ = watched(120.4, 119.8, 120.3, 121.2)
+    cells = [[cell.plain.strip() for cell in histogram(watch).columns[i].cells] for i in (0, 2)]  # type: ignore[union-attr]
+    assert cells == [["120 cm", "121 cm"], ["3", "1"]]
 
 
 def test_the_median_of_many_readings_is_found_from_their_counts(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-// One WebSocket: what is said comes in, answers go out. The secret lets the same browser come again.
+// One WebSocket: what is to be shown comes in, answers go out. The secret lets the same browser come again.
 const byId = (id) => document.getElementById(id);
 const KEY = "msp-range commissioning";
 const code = new URLSearchParams(location.search).get("code");
@@ -26,6 +26,7 @@ function answer(number, value) {
 function question({ text, number, answers }) {
   const form = byId("ask");
   form.hidden = false;
+  form.dataset.number = number;
   byId("now").textContent = text;
   if (answers.length) {
     form.replaceChildren(...answers.map((each, index) => made("button", each, {

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from msp_range.acoustics.air import FIXED, TWO_SIDED_95_PERCENT, ZERO_CELSIUS_K
+from msp_range.acoustics.air import FIXED, TWO_SIDED_95_PERCENT, ZERO_CELSIUS_K, source_in_words
 from msp_range.commission.edit import Edit
 from msp_range.commission.motion import Measured, NotMeasured, without_outliers
 from msp_range.commission.noise import compare_noise
@@ -199,7 +199,7 @@ def compare(airframe: Airframe, stands: Sequence[Stand], still: Samples, flown: 
     outcome = StepOutcome(again=lambda changed: compare(changed, stands, still, flown))
     tilts = [tilt_rad(stand.samples) for stand in stands]
     if any(tilt > LEVEL_RAD for tilt in tilts):
-        text = f"the autopilot says that it leans by {math.degrees(max(tilts)):.0f} deg"
+        text = f"the autopilot reports that it leans by {math.degrees(max(tilts)):.0f} deg"
         outcome.wrong("level", text, "put it level, or calibrate the autopilot's level, then again")
         return outcome
     noise = noise_m(still)
@@ -276,7 +276,8 @@ def _air(airframe: Airframe, measured: Measured | None, assumed_c: float, source
     if measured is None:
         outcome.unknown("air temperature", "one height does not show it", "measure at a second height")
         return
-    text = f"by the distances the air has {shown(measured, 'C', 0)}; {assumed_c:.0f} C by the file, from {source}"
+    text = f"by the distances the air has {shown(measured, 'C', 0)}; used are {assumed_c:.0f} C, "
+    text += source_in_words(source)
     if not measured.differs_from(assumed_c, WARMER_C):
         outcome.right("air temperature", text)
         return

@@ -16,6 +16,7 @@ from msp_range.commission.session import Session
 from msp_range.commission.steps.places import compare_lag, compare_places
 from msp_range.config import Airframe, load_airframe_from
 from msp_range.doctor.finding import Finding, first_of, unknown, wrong
+from msp_range.pilot_texts import EXPLAINED
 from msp_range.recording.reader import Recording, newest_recording
 from msp_range.recording.topics import HEALTH_TOPIC, SENT_TOPIC, Message
 
@@ -91,8 +92,7 @@ def review(session: Session) -> StepOutcome:
         if topic == HEALTH_TOPIC and "text" in message and message.get("severity") in ("error", "warning")
     )
     for text, count in reported.most_common(8):
-        remedy = "docs/flying.md explains the texts"
-        outcome.unknown("reported in flight", f"{text}{f' ({count} times)' if count > 1 else ''}", remedy)
+        outcome.unknown("reported in flight", f"{text}{f' ({count} times)' if count > 1 else ''}", EXPLAINED)
     sent = Counter(str(message["name"]) for topic, _, message in records if topic == SENT_TOPIC)
     outcome.measured["sent"] = dict(sent)
     return outcome

@@ -53,7 +53,7 @@ def _compared(session: Session, airframe: Airframe, client: ParameterClient) -> 
             name,
             (name in done, f"set to {done.get(name, 0):g} and read back"),
             (change.found is None, text, remedy),
-            (True, f"left as it was: {text}", "set it, or say why not"),
+            (True, f"left as it was: {text}", "set it, unless there is a reason not to"),
         )
     kept = len(settings) - sum(change.setting in settings for change in changes)
     outcome.right("parameters", f"{kept} of {len(settings)} of {firmware} were as they should be")

@@ -6,13 +6,13 @@ time of the echo, and the lag behind another sensor from the times at which the 
 
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 from msp_lab.campaigns.campaign import Campaign
 from msp_lab.campaigns.plan import Point
 from msp_range.assembly import answer_timing
-from msp_range.bus import Bus, BusError
+from msp_range.bus import Address, Bus, BusError
 from msp_range.bus.smbus import BusInUse, KernelBus
 from msp_range.clock import Clock, SystemClock
 from msp_range.correction.temperature import COLDEST_C, HOTTEST_C, FileSource
@@ -62,10 +62,22 @@ class Bench(Protocol):
 
 
 class KernelBench:
-    """Real sensors on this computer's bus."""
+    """Real sensors on this computer's bus and serial ports.
 
-    def __init__(self, bus: int | str, thermometer: FileSource | None) -> None:
+    Parameters
+    ----------
+    bus
+        Number of the I2C bus, or its path.
+    addresses
+        Those of the sensors; without one on the bus it is left alone.
+    thermometer
+        That of the bench, or None.
+    """
+
+    def __init__(self, bus: int | str, addresses: Sequence[Address], thermometer: FileSource | None) -> None:
         self._bus = KernelBus(bus)
+        self._ports = [address for address in addresses if isinstance(address, str)]
+        self._on_i2c = len(self._ports) < len(addresses)
         self.clock: Clock = SystemClock()
         self._thermometer = thermometer
         self._reader = ThreadReader(self.clock)
@@ -73,24 +85,29 @@ class KernelBench:
         self.description = "sensors on a bus"
 
     def open(self) -> None:
-        """Open the bus and read the thermometer, before anything is set up.
+        """Open bus and ports of the sensors and read the thermometer, before anything is set up.
 
         Raises
         ------
         ConfigError
-            It cannot be opened.
+            One of them cannot be opened.
         BusInUse
-            Another process uses it.
+            Another process uses the bus.
         """
         self.air_c(self.clock.now())
         try:
-            self._bus.reopen()
+            if self._on_i2c:
+                self._bus.reopen()
+            for port in self._ports:
+                self._bus.write(port, b"")
         except BusInUse:
             raise
         except BusError as error:
+            is_port = isinstance(error.address, str)
+            question = "is it plugged in and the right one" if is_port else "is I2C switched on, is --bus the right one"
             raise ConfigError(
-                f"{self._bus.path}: cannot be opened: {os.strerror(error.errno or 0)}; is I2C switched on, is --bus "
-                "the right one, and do you have access? msp-lab collect --simulate runs a campaign without sensors"
+                f"{error.address if is_port else self._bus.path}: cannot be opened: {os.strerror(error.errno or 0)}; "
+                f"{question}, and do you have access? msp-lab collect --simulate runs a campaign without sensors"
             ) from None
 
     def begin(self, point: Point, attempt: int, columns: Columns, done: int) -> tuple[Bus, int]:
@@ -108,7 +125,7 @@ class KernelBench:
         return air_c if COLDEST_C <= air_c <= HOTTEST_C else None
 
     def close(self) -> None:
-        """Release the bus."""
+        """Release bus and ports."""
         self._reader.close()
         self._bus.close()
 

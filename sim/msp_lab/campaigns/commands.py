@@ -21,7 +21,8 @@ from msp_range.terminal import PlainConsole
 def collect_at_bench(collection: Collection, out: Path, bus: str, plan_only: bool) -> None:
     """Lead a person through a campaign at the bench; the parameters are the options of the command."""
     console = PlainConsole()
-    bench = KernelBench(bus_of(bus), collection.campaign.thermometer)
+    campaign = collection.campaign
+    bench = KernelBench(bus_of(bus), [sensor.address for sensor in campaign.sensors], campaign.thermometer)
     store = collection.store(out, bench)
     if plan_only:
         show_plan(console, collection, store)

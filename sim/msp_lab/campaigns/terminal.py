@@ -4,6 +4,7 @@ It shows points and readings, and asks the person.
 """
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from rich.console import Console, Group, RenderableType
@@ -252,13 +253,16 @@ def _bars(watch: PointWatch) -> Iterator[tuple[str, int, str]]:
     if median_cm is not None:
         reach = MAX_ROWS // 2
         centre = round(median_cm)
-        near = {reading_cm: count for reading_cm, count in watch.counts.items() if abs(reading_cm - centre) <= reach}
+        near: Counter[int] = Counter()
+        for reading_cm, count in watch.counts.items():
+            if abs(reading_cm - centre) <= reach:
+                near[round(reading_cm)] += count
         shorter = sum(count for reading_cm, count in watch.counts.items() if reading_cm < centre - reach)
         longer = sum(count for reading_cm, count in watch.counts.items() if reading_cm > centre + reach)
         if shorter:
             yield "shorter", shorter, "yellow"
-        for reading_cm in range(min(near, default=centre), max(near, default=centre) + 1):
-            yield f"{reading_cm} cm", near.get(reading_cm, 0), "green"
+        for whole_cm in range(min(near, default=centre), max(near, default=centre) + 1):
+            yield f"{whole_cm} cm", near[whole_cm], "green"
         if longer:
             yield "longer", longer, "yellow"
     if watch.no_echo:

@@ -35,7 +35,7 @@ class Outlier:
 
     number: int
     sensor: str
-    reading_cm: int
+    reading_cm: float
     why: str
 
 
@@ -62,7 +62,7 @@ class PointWatch:
     def __init__(self, sensor: str, expected_cm: tuple[float, float]) -> None:
         self.sensor = sensor
         self.expected_cm = expected_cm
-        self.counts: Counter[int] = Counter()
+        self.counts: Counter[float] = Counter()
         self.no_echo = 0
         self.failed: Counter[Status] = Counter()
         self.outliers: list[Outlier] = []
@@ -109,7 +109,7 @@ class PointWatch:
                     "in its place, and is nothing else in the beam?"
                 )
         if self.outliers:
-            shown = ", ".join(f"{outlier.reading_cm}" for outlier in self.outliers[:6])
+            shown = ", ".join(f"{outlier.reading_cm:g}" for outlier in self.outliers[:6])
             more = ", ..." if len(self.outliers) > 6 else ""
             found.append(f"{self.sensor}: {len(self.outliers)} outliers among {self.read} readings ({shown}{more})")
         if self.no_echo:

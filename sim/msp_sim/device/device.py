@@ -33,7 +33,7 @@ class DeviceTiming:
     address_change_s: float = 0.0
     """Time for which an address change keeps the sensor busy [s]."""
 
-    def ranging_s(self, reading_cm: int, no_echo_cm: int) -> float:
+    def ranging_s(self, reading_cm: float, no_echo_cm: int) -> float:
         """Time from the ping until the ranging has ended [s]."""
         # A word that is no range, such as one behind a clock fault, takes no longer than the cycle.
         whole_s = self.ready_s + self.s_per_cm * reading_cm
@@ -144,8 +144,8 @@ class RangeFinder(ABC):
     now
         The time [s].
     echo
-        Called exactly once a ping, with its time [s]; returns the reading in whole centimetres, `no_echo_cm` where
-        there was no echo. One below the sensor's shortest is a word with a lost byte.
+        Called exactly once a ping, with its time [s]; returns the reading [cm], which is rounded to the sensor's steps;
+        `no_echo_cm` where there was no echo. One below the sensor's shortest is a word with a lost byte.
     timing
         How long it is busy; None: as its kind is.
     faults
@@ -168,6 +168,8 @@ class RangeFinder(ABC):
         A fault is drawn and there is no ``chance``, or the sensor cannot show it.
     """
 
+    per_cm: int = 1
+    """Steps of its readings in a centimetre."""
     minimum_cm: int
     no_echo_cm: int
     """Shortest reading, and the one of no echo [cm]."""
@@ -183,7 +185,7 @@ class RangeFinder(ABC):
         self,
         address: int | str,
         now: Callable[[], float],
-        echo: Callable[[float], int],
+        echo: Callable[[float], float],
         timing: DeviceTiming | None = None,
         faults: Sequence[Fault] = (),
         chance: random.Random | None = None,
@@ -256,15 +258,15 @@ class RangeFinder(ABC):
         return now_s
 
     def _ping(self, now_s: float) -> None:
-        reading_cm = self._echo(now_s)
-        if not 0 <= reading_cm <= LARGEST_CODE:
+        reading_cm = self._in_steps(self._echo(now_s))
+        if not 0 <= reading_cm * self.per_cm <= LARGEST_CODE:
             raise ValueError(f"echo returned {reading_cm} cm: expected what two bytes hold, 0 to {LARGEST_CODE}")
         if self.faults:
             reading_cm = self._misrange(reading_cm, now_s)
         self.pings += 1
         self._busy_until_s = now_s + self._timing.ranging_s(reading_cm, self.no_echo_cm)
         self._may_miss_read = True
-        before, self._ranging = self._ranging, reading_cm.to_bytes(2, "big")
+        before, self._ranging = self._ranging, round(reading_cm * self.per_cm).to_bytes(2, "big")
         if not (self._ranged and self.faults and self._strikes("stuck", now_s)):
             is_late = self._ranged and self.faults and self._strikes("previous_ping", now_s)
             self._answer = before if is_late else self._ranging
@@ -288,7 +290,7 @@ class RangeFinder(ABC):
             return False
         return fault.probability == 1.0 or self._chance.random() < fault.probability
 
-    def _misrange(self, reading_cm: int, now_s: float) -> int:
+    def _misrange(self, reading_cm: float, now_s: float) -> float:
         """Return what is ranged instead, each fault on top of those before it in the list; busy times follow it."""
         for fault in self.faults:
             if fault.kind not in _RANGED or not self._fault_strikes(fault, now_s):
@@ -302,9 +304,12 @@ class RangeFinder(ABC):
                 reading_cm = self._within_limits(reading_cm + ranged_cm)
         return reading_cm
 
-    def _within_limits(self, range_cm: float) -> int:
+    def _within_limits(self, range_cm: float) -> float:
         """What the sensor answers for a range [cm]."""
-        return round(min(max(range_cm, self.minimum_cm), self.no_echo_cm))
+        return self._in_steps(min(max(range_cm, self.minimum_cm), self.no_echo_cm))
+
+    def _in_steps(self, reading_cm: float) -> float:
+        return round(reading_cm * self.per_cm) / self.per_cm
 
     def _corrupt(self, answer: bytes, now_s: float) -> bytes:
         """Return the answer as the master sees it, each fault on top of those before it in the list."""

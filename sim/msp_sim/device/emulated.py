@@ -104,13 +104,13 @@ class EmulatedSensor:
         self._others = others
         self._previous_cm: float | None = None
 
-    def echo(self, ping_s: float) -> int:
-        """The reading of a ping at a time of the flight [s], in whole centimetres, as devices answer."""
+    def echo(self, ping_s: float) -> float:
+        """The reading of a ping at a time of the flight [s], in steps of the model [cm]."""
         context = self.context(ping_s)
         context["previous_reading_cm"] = self._previous_cm
         context[PATH] = FlownPath(lambda time_s: self._ping(time_s).true_range_cm, ping_s, context[TRUE_RANGE])
         self._previous_cm = reading_cm = self._readings.sample_one(context)
-        return round(reading_cm)
+        return reading_cm
 
     def _ping(self, time_s: float) -> Ping:
         return self._around.world.ping(self._around.pose(time_s), self._beam)
@@ -157,7 +157,9 @@ def ranging_timing(kind: type[RangeFinder], model: SensorModel) -> DeviceTiming:
     )
 
 
-def within_limits(echo: Callable[[float], int], model: SensorModel, kind: type[RangeFinder]) -> Callable[[float], int]:
+def within_limits(
+    echo: Callable[[float], float], model: SensorModel, kind: type[RangeFinder]
+) -> Callable[[float], float]:
     """Readings of a model as a device of this kind can answer them.
 
     A model of another sensor may read less or more than the device. A reading below the device's shortest becomes its
@@ -167,7 +169,7 @@ def within_limits(echo: Callable[[float], int], model: SensorModel, kind: type[R
     if kind.minimum_cm <= model.minimum_cm and model.maximum_cm == kind.no_echo_cm:
         return echo
 
-    def limited(ping_s: float) -> int:
+    def limited(ping_s: float) -> float:
         reading_cm = echo(ping_s)
         if reading_cm >= min(model.maximum_cm, kind.no_echo_cm):
             return kind.no_echo_cm

@@ -31,7 +31,6 @@ class EmulatedMaxSonar(RangeFinder):
     """
 
     digits: int
-    per_cm: int
     fault_kinds = (
         frozenset(FAULT_KINDS)
         - {"clock_fault", "or_ed", "saturated", "lost_high_byte", "impossible", "missed_read", "locked_up"}
@@ -84,8 +83,8 @@ class EmulatedMaxSonar(RangeFinder):
             self._line_s += self._timing.no_echo_s
         return now_s
 
-    def _line(self, reading_cm: int, now_s: float) -> bytes:
-        number = min(reading_cm * self.per_cm, 10**self.digits - 1)
+    def _line(self, word: int, now_s: float) -> bytes:
+        number = min(word, 10**self.digits - 1)
         line = f"R{number:0{self.digits}d}\r".encode()
         if not self.faults:
             return line

@@ -17,8 +17,8 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import BeforeValidator, Field, model_validator
 
 from msp_range.geometry import Vector, dot
-from msp_range.yaml_file import Section
-from msp_sim.acoustics.materials import find_material
+from msp_range.yaml_file import Section, suggest
+from msp_sim.acoustics.materials import MATERIALS, find_material
 from msp_sim.world.profiles import Positive
 
 EDGE_REACH_M = 50.0
@@ -89,8 +89,8 @@ class GroundSection(Section):
     surface: str = "grass"
     """name of the surface before the first step"""
     rough: dict[str, NamedRoughness] = Field(default_factory=dict)
-    """roughness of surfaces by name: its numbers, or a known surface's name; the others, and the tops of boxes, are
-    smooth"""
+    """roughness of surfaces of the ground by name: its numbers, or a known surface's name; the others, and the tops of
+    boxes, are smooth"""
     slope_deg: Annotated[float, Field(ge=0, le=45)] = 0.0
     """slope of the ground [deg]"""
     uphill_deg: float = 0.0
@@ -107,6 +107,15 @@ class GroundSection(Section):
         for before, after in zip(self.steps, self.steps[1:], strict=False):
             if after.at_m <= before.at_m:
                 raise ValueError(f"expected steps in order of at_m, but {after.at_m} comes after {before.at_m}")
+        return self
+
+    @model_validator(mode="after")
+    def _rough_surfaces_exist(self) -> "GroundSection":
+        # Known surfaces too: which one the ground has may vary from flight to flight.
+        known = dict.fromkeys([self.surface, *(step.surface for step in self.steps if step.surface), *MATERIALS])
+        for name in self.rough:
+            if name not in known:
+                raise ValueError(f"rough: found {name!r}; expected one of {', '.join(known)}.{suggest(name, known)}")
         return self
 
 

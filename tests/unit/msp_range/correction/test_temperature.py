@@ -68,6 +68,8 @@ def test_a_vehicle_without_a_thermometer_is_reported_with_what_that_costs() -> N
     off_cm = 765 * (math.sqrt((FIXED_C + 273.15) / (coldest_c + 273.15)) - 1)
     assert reported(air(), 0.0) == [f"Range: no thermometer, {off_cm:.0f} cm off at {coldest_c:.0f} C, 7.65 m"]
     assert reported(air(), 1000.0) == reported(air(), 0.0)
+    remedy = next(each.remedy for each in air().conditions(0.0) if each.text is not None)
+    assert "fixed_c to the air's temperature of today and fixed_std_c to 3" in remedy
     assert reported(air(fixed_std_c=3.0), 0.0) == []
 
 

@@ -60,3 +60,20 @@ def test_addresses_are_those_at_which_others_reach_this_computer() -> None:
             assert not host.startswith("127.")
             with socket.create_server((host, 0)) as server:
                 assert server.getsockname()[0] == host
+
+
+def test_addresses_of_wireless_networks_come_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    known = {"lo": "127.0.0.1", "eth0": "192.0.2.5", "wlan0": "198.51.100.7"}
+
+    def ioctl(asking: socket.socket, request: int, name: bytes) -> bytes:
+        address = known.get(name.rstrip(b"\0").decode())
+        if address is None:
+            raise OSError
+        return bytes(20) + socket.inet_aton(address) + bytes(8)
+
+    monkeypatch.setattr(network.fcntl, "ioctl", ioctl)
+    monkeypatch.setattr(socket, "if_nameindex", lambda: [*enumerate([*known, "down0"])])
+    monkeypatch.setattr(network, "AVAHI", tmp_path)
+    assert network.hosts() == ["198.51.100.7", "192.0.2.5", f"{socket.gethostname()}.local"]
+    del known["eth0"], known["wlan0"]
+    assert network.hosts() == []

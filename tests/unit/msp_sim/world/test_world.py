@@ -432,13 +432,23 @@ def test_rough_ground_varies_about_its_mean_from_which_heights_count() -> None:
 
 
 def test_a_roughness_is_given_by_numbers_or_by_the_name_of_a_known_surface() -> None:
-    ground = GroundSection.model_validate({"rough": {"yard": "gravel", "pad": "concrete", "grass": {"rms_m": 0.03}}})
+    rough = {"yard": "gravel", "pad": "concrete", "grass": {"rms_m": 0.03}}
+    steps = [{"at_m": 1.0, "surface": "yard"}, {"at_m": 2.0}, {"at_m": 3.0, "surface": "pad"}]
+    ground = GroundSection.model_validate({"rough": rough, "steps": steps})
     found = {name: (each.rms_m, each.length_m) for name, each in ground.rough.items()}
     assert found == {"yard": (0.01, 0.05), "pad": (0.0, 0.3), "grass": (0.03, 0.3)}
     for name in MATERIALS:
         GroundSection.model_validate({"rough": {"grass": name}})
     with pytest.raises(ValidationError, match=r"found 'gravle'; expected one of plywood, .*, gravel, snow, foam"):
         GroundSection.model_validate({"rough": {"grass": "gravle"}})
+
+
+def test_a_roughness_of_a_surface_that_the_ground_does_not_have_is_refused() -> None:
+    ground = {"surface": "field", "steps": [{"at_m": 1.0, "surface": "yard"}]}
+    for misspelt, meant in (("yrad", "yard"), ("feild", "field"), ("gras", "grass")):
+        expected = f"rough: found '{misspelt}'; expected one of field, yard, plywood, .*foam. Did you mean '{meant}'?"
+        with pytest.raises(ValidationError, match=expected):
+            GroundSection.model_validate({**ground, "rough": {misspelt: "gravel"}})
 
 
 def test_only_the_surfaces_that_are_named_are_rough() -> None:
