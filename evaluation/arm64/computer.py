@@ -1,8 +1,8 @@
 """An arm64 Debian in a folder, whose Python qemu runs on this computer: no root, no kernel and no container are needed.
 
 It has what a vehicle's computer has: the Python of the release's image, and the wheels that `requirements.lock` pins
-for aarch64, by their hashes. pytest and what the tests of the bridge import come with it. Programs that a program
-starts do not run, since the kernel of this computer does not know their processor.
+for aarch64, by their hashes. pytest comes with it. Programs that a program starts do not run, since the kernel of this
+computer does not know their processor.
 """
 
 import os
@@ -20,7 +20,8 @@ from release.wheels import GLIBC_MINOR
 
 PACKAGES = "python3-minimal,libpython3-stdlib,base-files,zlib1g,libstdc++6,libgcc-s1,umockdev"
 """Debian packages: Python, what wheels link to, and the emulated I2C bus of tests/support/kernel_bus.py."""
-TESTS = ("pytest", "pytest-xdist", "pytest-timeout", "hypothesis", "scipy")
+TESTS = ("pytest", "pytest-timeout")
+"""Python packages of tests: pytest, and what pyproject.toml configures of it."""
 PROGRAMS = {"mmdebstrap": "mmdebstrap", "qemu-aarch64": "qemu-user", "gcc": "gcc libc6-dev"}
 """Programs that this needs, and Debian's packages that have them."""
 COUNTS_BYTES = 4096
@@ -59,8 +60,7 @@ class Arm64:
         debian = [f"--architectures=arm64 --include={PACKAGES}".split(), [SUITE, str(self._debian)]]
         subprocess.run(["mmdebstrap", *options, *debian[0], *debian[1]], check=True)
         self._install("packages", "--require-hashes", f"--requirements={ROOT / 'requirements.lock'}")
-        self._install("tests", "--no-deps", "scipy")
-        self._install("tests", *(each for each in TESTS if each != "scipy"))
+        self._install("tests", *TESTS)
         version = re.search(r"version (\d+)", _output(["qemu-aarch64", "--version"]))
         assert version is not None
         # qemu 9 changed the interface, and has no plugin of the version before.
