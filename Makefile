@@ -9,6 +9,7 @@
 # make release  sdist, wheel, Debian packages, container images and list of packages, into build/release (as root)
 # make stored  keep files of this version for later versions' tests, in tests/stored
 # make bench  run all benchmarks, and write the table in docs/figures.md; ONLY='start page' runs these and writes nothing
+# make arm64  count the instructions of the bridge on an emulated arm64 computer, and write them in docs/figures.md
 # make fuzz   feed damaged files and link bytes to every reader, SECONDS=600 per area by SEED=1; failures are kept in build/fuzz
 # make gap-demo  hide five effects in simulated flights and find them
 # make blind  hide effects in N=200 tables by SEED=1, let the gap workflow find them, write its scores to docs/figures.md
@@ -19,7 +20,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo venv gap-demo docs test test-all test-install lint check lock release stored bench fuzz blind second others faults soak mavproxy compile clean
+.PHONY: demo venv gap-demo docs test test-all test-install lint check lock release stored bench arm64 fuzz blind second others faults soak mavproxy compile clean
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
 .PHONY: help
@@ -78,6 +79,9 @@ stored: .venv/.installed-test
 
 bench: .venv/.installed-test compile
 	$(BIN)/python -m evaluation bench $(ONLY)
+
+arm64: .venv/.installed-test
+	$(BIN)/python -m evaluation arm64 --write
 
 SEED ?= 1
 SECONDS ?= 600

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from importlib import import_module
 
 EVALUATIONS = {
+    "arm64": ("arm64.command", "instructions of a start and of a flight on arm64, into docs/figures.md"),
     "bench": ("benchmarks.command", "times, memory and figures of the product, into docs/figures.md"),
     "benchmark": ("benchmark.command", "frozen tables with hidden effects, for this and other methods"),
     "blind": ("blind.command", "tables computed from sound, with hidden effects, for the gap workflow"),

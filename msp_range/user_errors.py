@@ -1,6 +1,7 @@
 """User errors in all commands: a line on standard error and an exit code, without a traceback."""
 
 import errno
+import gc
 import signal
 import sys
 from collections.abc import Callable
@@ -38,6 +39,9 @@ def report_user_errors(command: Callable[Parameters, None]) -> Callable[Paramete
         try:
             if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
                 signal.signal(signal.SIGINT, signal.default_int_handler)
+            if not gc.isenabled():  # since `msp_range.start`; what was imported stays, and no collection looks at it
+                gc.freeze()
+                gc.enable()
             command(*args, **kwargs)
         except KeyboardInterrupt:
             raise Exit(EXIT_INTERRUPTED) from None

@@ -73,7 +73,7 @@ def run() -> Figures:
     ]
 
 
-class _Streaming(Autopilot):
+class Streaming(Autopilot):
     """It sends what the bridge asks an ArduPilot for, at those rates, without being asked."""
 
     def __init__(self) -> None:
@@ -102,7 +102,7 @@ class _Streaming(Autopilot):
 @contextmanager
 def _flying(testbed: KernelTestbed, folder: Path, *options: str) -> Iterator[tuple[LinkEnd, int]]:
     """The service when it has flown for some seconds; the far end of its link, and its process."""
-    with LinkEnd(autopilot=_Streaming()) as end:
+    with LinkEnd(autopilot=Streaming()) as end:
         feed = str(folder / "status.sock")
         arguments = ["--record", str(folder), "--socket", feed, *options]
         with running_service(testbed, end.url, folder, *arguments, airframe=AIRFRAME) as service:

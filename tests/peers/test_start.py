@@ -86,6 +86,20 @@ def test_each_command_has_one_thread_of_blas_before_numpy_is_imported(monkeypatc
     assert done.stdout == "1 False\n"
 
 
+def test_imports_are_not_searched_for_garbage_and_a_command_is() -> None:
+    """Imports make some 100,000 objects that stay; to look for garbage among them takes a twentieth of their time."""
+    program = """
+import gc, msp_range.start, msp_range.cli
+from msp_range.user_errors import report_user_errors
+print(gc.isenabled())
+report_user_errors(lambda: print(gc.isenabled(), gc.get_freeze_count() > 10_000))()
+before = gc.get_freeze_count()
+report_user_errors(lambda: print(gc.get_freeze_count() == before))()  # a second one keeps no garbage for ever
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\nTrue True\nTrue\n"
+
+
 @pytest.mark.parametrize("command", ["msp-range", "msp-sim", "msp-lab"])
 def test_each_command_imports_that_first(command: str) -> None:
     program = [str(Path(sys.executable).with_name(command)), "--help"]
