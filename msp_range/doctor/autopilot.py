@@ -5,6 +5,7 @@ Distances that the sensors have just measured are sent for some seconds, and onl
 
 from collections.abc import Iterator, Mapping
 from contextlib import closing
+from typing import Any
 
 from msp_range.assembly import downward_stream
 from msp_range.clock import Clock
@@ -13,7 +14,7 @@ from msp_range.correction.temperature import COLDEST_C, HOTTEST_C, MAVLINK_FIELD
 from msp_range.doctor.computer import Computer
 from msp_range.doctor.finding import RIGHT, UNKNOWN, WRONG, Finding, first_of, right, unknown, wrong
 from msp_range.doctor.port import check_holders
-from msp_range.mavlink.acceptance import OTHER_FIRST, is_healthy, not_received
+from msp_range.mavlink.acceptance import OTHER_FIRST, RETURNED_M, is_first, is_healthy, not_received
 from msp_range.mavlink.distance_sensor import distance_sensor
 from msp_range.mavlink.frames import Frame, FrameReader
 from msp_range.mavlink.orientation import DOWN
@@ -36,8 +37,6 @@ CONNECT_S = 6.0
 SENT_S, SENT_INTERVAL_S = 4.0, 0.1
 """Distances are sent for this long at the bridge's rate [s]: ArduPilot wants three good ones in a row, and sends its
 own once or twice a second until a faster rate is asked for."""
-RETURNED_M = 0.10
-"""What comes back may differ from what was sent by this [m]: both are whole centimetres."""
 DELAY, DELAY_MS = "EKF2_RNG_DELAY", 25.0
 """PX4's parameter for the latency may be off by this [ms]: at 1 m/s it is 2.5 cm. From the ground to 6 m the latency
 itself grows by 18 ms, so less would call a good value wrong."""
@@ -319,6 +318,7 @@ def _distances(airframe: Airframe, client: ParameterClient, clock: Clock, ranges
     if not measured:
         return unknown(step, "not tried: no downward sensor has a distance", "first let the sensors see something")
     range_m = measured[len(measured) // 2]
+    back: Any = None
     client.messages.pop("DISTANCE_SENSOR", None)
     end_s = clock.now() + SENT_S
     while clock.now() < end_s:
@@ -327,7 +327,10 @@ def _distances(airframe: Airframe, client: ParameterClient, clock: Clock, ranges
         boot_ms = client.link.autopilot_clock.time_boot_ms(clock.now())
         client.link.send(distance_sensor(stream, boot_ms, range_m, 0.0004, field_of_view_rad=0.4, quality=100))
         client.wait(lambda: False, SENT_INTERVAL_S)
-    back, status = client.messages.get("DISTANCE_SENSOR"), client.messages.get("SYS_STATUS")
+        newest = client.messages.pop("DISTANCE_SENSOR", None)
+        if newest is not None and is_first(back, newest):
+            back = newest
+    status = client.messages.get("SYS_STATUS")
     sent = f"{range_m:.2f} m was sent, and the autopilot"
     remedy = f"msp-range params {airframe.path} --write, then restart the autopilot: the type counts from then on"
     if back is None:

@@ -1,5 +1,4 @@
-"""What the autopilot makes of the distances, by its own messages: whether it receives them, and whether its estimator
-follows them.
+"""Whether the autopilot receives the distances, and whether its estimator follows them, by the messages that it sends.
 
 ArduPilot reports the distance and the health of its range finder, and the ratio of the innovation to its limit only
 with optical flow, or where `EK3_RNG_USE_HGT` makes range its source of height, which is while it takes off or lands;
@@ -21,18 +20,18 @@ ACCEPTANCE_RATES: dict[Autopilot, dict[str, float]] = {
     "ardupilot": {"DISTANCE_SENSOR": 2.0, "SYS_STATUS": 2.0, "EKF_STATUS_REPORT": 2.0},
     "px4": {"DISTANCE_SENSOR": 2.0, "SYS_STATUS": 1.0, "ESTIMATOR_STATUS": 2.0, "ALTITUDE": 4.0},
 }
-"""Requested rates [Hz] by message: an estimator that does not follow is reported within 2 s. Watchers see the first two
-as they are."""
+"""Requested rates [Hz] by message: an estimator that does not follow is reported within 2 s. Watchers get the first two
+unchanged."""
 LAG_S = 1.0
 """The autopilot's height is one that was sent in this time, or between two of them [s]. Longer reports an offset later,
-shorter takes the autopilot's own delay on a climb for one."""
+shorter mistakes the autopilot's own delay in a climb for one."""
 OLD_S = 3.0
-"""A message that is older does not count [s]: six of the slowest."""
+"""A message that is older does not count [s]: three of the slowest."""
 MISSING_S = 4.0
 """Distances that have gone out for this long [s] without one of the autopilot's own are not received: a message has to
 be asked for, and asked for again if the request is lost. Shorter takes a slow link for a wrong parameter."""
 RETURNED_M = 0.15
-"""What an autopilot says that it received may differ from what was sent by this [m]: whole centimetres, and a vehicle
+"""What an autopilot reports as received may differ from what was sent by this [m]: whole centimetres, and a vehicle
 that moves between two of its messages."""
 OFF_M = 0.5
 """A height above ground that differs more from the distances is off [m]. Smaller counts sensors far below the
@@ -77,7 +76,7 @@ class _Sent(NamedTuple):
 
 
 class AcceptanceWatch:
-    """Holds an autopilot's messages against the downward distances that it was sent.
+    """Compares an autopilot's messages with the downward distances that it was sent.
 
     Parameters
     ----------
@@ -102,8 +101,7 @@ class AcceptanceWatch:
         is_range = message.current_distance <= message.max_distance
         range_m = message.current_distance / 100 if is_range else math.inf
         self._sent.append(_Sent(now_s, range_m, range_m * cos_lean))
-        while now_s - self._sent[0].time_s > LAG_S:
-            self._sent.popleft()
+        self._forget(now_s)
 
     def on_message(self, now_s: float, message: Any) -> None:
         """Note a message of the autopilot."""
@@ -113,13 +111,22 @@ class AcceptanceWatch:
         # Where EKF2 rejects distances its height comes and goes: the last one counts until it is old.
         if kind == "ALTITUDE" and not math.isfinite(message.bottom_clearance):
             return
+        known_s, known = self._newest.get(kind, (-math.inf, None))
+        if kind == "DISTANCE_SENSOR" and now_s - known_s < OLD_S and not is_first(known, message):
+            return
         self._newest[kind] = now_s, message
+        self._forget(now_s)
         if kind == "ALTITUDE":
             self._on_height(now_s, message)
         elif kind == "DISTANCE_SENSOR":
             beyond_m = _beyond([each.range_m for each in self._sent], message.current_distance / 100)
-            if not abs(beyond_m) > RETURNED_M:
+            if not abs(beyond_m) > RETURNED_M:  # Where nothing was sent it counts as the same.
                 self._matched_s = now_s
+
+    def _forget(self, now_s: float) -> None:
+        """Distances that were sent before `LAG_S` are compared with nothing any more."""
+        while self._sent and now_s - self._sent[0].time_s > LAG_S:
+            self._sent.popleft()
 
     def _on_height(self, now_s: float, message: Any) -> None:
         """Compare the estimator's height with the distances, and notice when it takes them for a new terrain."""
@@ -131,7 +138,7 @@ class AcceptanceWatch:
     def now(self, now_s: float) -> Acceptance:
         """What the autopilot makes of the distances now."""
         if not self._sent or now_s - self._sent[-1].time_s > LAG_S:
-            return Acceptance("gets nothing now")
+            return Acceptance("is sent nothing now")
         newest = {kind: message for kind, (time_s, message) in self._newest.items() if now_s - time_s < OLD_S}
         own, status = newest.get("DISTANCE_SENSOR"), newest.get("SYS_STATUS")
         estimator = newest.get("ESTIMATOR_STATUS") or newest.get("EKF_STATUS_REPORT")
@@ -156,7 +163,7 @@ class AcceptanceWatch:
             problem = Text.REJECTED.when(True, ratio=ratio)
             return found._replace(text=f"{text}: rejected by its estimator (ratio {ratio:.1f})", problem=problem)
         if self._autopilot == "px4":
-            return found._replace(text=f"{text}, and no height above the ground by it (EKF2_RNG_CTRL)")
+            return found._replace(text=f"{text}, but its estimator gives no height above the ground: see EKF2_RNG_CTRL")
         healthy = "" if status is None else ", healthy" if is_healthy(status) else ", not healthy"
         use = "not reported by this autopilot" if ratio is None else f"ratio {ratio:.2f}"
         return found._replace(text=f"{text}{healthy}; its estimator: {use}")
@@ -189,7 +196,16 @@ def not_received(autopilot: Autopilot, status: Any) -> str | None:
         return None
     if not status.onboard_control_sensors_present & _RANGE_FINDER:
         return "it has no range finder that looks down (RNGFND1_TYPE 10, RNGFND1_ORIENT 25)"
-    return "its downward range finder gets none: another type, or another id (RNGFND1_TYPE, RNGFND1_ADDR)"
+    return "its downward range finder gets none: RNGFND1_TYPE or RNGFND1_ADDR is another"
+
+
+def is_first(known: Any, message: Any) -> bool:
+    """Whether of two of the autopilot's DISTANCE_SENSOR the second counts: that of its first one which looks down.
+
+    An autopilot with several range finders sends one message for each, with its number as the id. ``known``: the first,
+    or None.
+    """
+    return known is None or known.orientation != DOWN or (message.orientation == DOWN and message.id <= known.id)
 
 
 def is_healthy(status: Any) -> bool:
@@ -198,7 +214,7 @@ def is_healthy(status: Any) -> bool:
 
 
 def _ratio(estimator: Any) -> float | None:
-    """Innovation over its limit; ArduPilot has 0 where it is not computed, PX4 what is no number."""
+    """Innovation over its limit; ArduPilot has 0 where it is not computed, PX4 NaN."""
     if estimator.msgname == "ESTIMATOR_STATUS":
         return _finite(estimator.hagl_ratio)
     return _finite(estimator.terrain_alt_variance) or None

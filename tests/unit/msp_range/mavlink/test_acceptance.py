@@ -16,8 +16,8 @@ LASER = dialect.MAV_SYS_STATUS_SENSOR_LASER_POSITION
 STEP_S = 0.1
 
 
-def distance(range_m: float, orientation: int = 25) -> Any:
-    return ardupilotmega.MAVLink_distance_sensor_message(0, 19, 764, round(100 * range_m), 1, 0, orientation, 0)
+def distance(range_m: float, orientation: int = 25, number: int = 0) -> Any:
+    return ardupilotmega.MAVLink_distance_sensor_message(0, 19, 764, round(100 * range_m), 1, number, orientation, 0)
 
 
 def status(present: int, health: int) -> Any:
@@ -97,6 +97,23 @@ def test_a_rejected_height_that_comes_and_goes_is_rejected_all_the_time_whatever
     assert "EKF2_RNG_CTRL" in flight.fly(3.0, 3.0, altitude(math.nan), distance(3.0)).text
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_of_two_range_finders_the_first_one_that_looks_down_counts(order: int) -> None:
+    forward, lidar, bridge = distance(7.0, orientation=0), distance(5.0, number=1), distance(3.0, number=2)
+    found = Flight("ardupilot").fly(8.0, 3.0, *[forward, lidar, bridge][::order])
+    assert found.text == "has 5.00 m, which is not what is sent"
+    flight = Flight("ardupilot")
+    flight.fly(2.0, 3.0, lidar)
+    assert "which is not" not in flight.fly(8.0, 3.0, bridge).text  # it is gone
+
+
+def test_distances_from_before_a_silence_are_compared_with_nothing() -> None:
+    flight = Flight("px4")
+    flight.fly(2.0, 1.0, altitude(1.0))
+    flight.fly(3.0, math.nan, altitude(4.0))
+    assert flight.fly(0.1, 4.0).problem.text is None
+
+
 def test_a_climb_and_a_lean_are_no_offset() -> None:
     flight = Flight("px4")
 
@@ -115,7 +132,7 @@ def test_above_the_maximum_there_is_nothing_to_compare() -> None:
 def test_px4_without_range_in_its_estimator_and_without_any_answer() -> None:
     assert "EKF2_RNG_CTRL" in Flight("px4").fly(6.0, 3.0, distance(3.0), altitude(math.nan)).text
     assert Flight("px4").fly(6.0, 3.0).text == "reports nothing of the distances"
-    assert Flight("px4").fly(6.0, math.nan, altitude(3.0)).text == "gets nothing now"
+    assert Flight("px4").fly(6.0, math.nan, altitude(3.0)).text == "is sent nothing now"
 
 
 @pytest.mark.parametrize(
