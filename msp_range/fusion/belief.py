@@ -119,8 +119,8 @@ class Belief:
     doubt
         Why what more than half of the sensors see, or half of them where nothing is sure, is perhaps no ground:
         `Text.CHANGE`, a ground was known, and this is more probably a fault; `Text.NO_RESPONSE`, it does not follow the
-        vehicle's motion; or `Text.STEEP`, it would be ground, were it level. It lasts until some ground is sure; None:
-        no reason.
+        vehicle's motion; or `Text.STEEP`, it would be ground, were it level. It lasts until some ground is sure, or
+        nothing is seen any more and no sensor is fixed to the vehicle; None: no reason.
     proven
         The ground that more than half of the sensors have seen, until another one is more probable; None: none was.
     reference
@@ -159,7 +159,7 @@ class Belief:
         self._time_s = time_s
 
     def level(self) -> None:
-        """Slopes were of another frame."""
+        """Forget the slopes, which were estimated in another frame."""
         for surface in self.surfaces:
             surface.filter.level()
 
@@ -328,7 +328,8 @@ class Belief:
         }
         nothing = total = sum(others.values())
         if (proven := self.proven) is not None:
-            # The ground so far has not become an object.
+            # The ground so far has not become an object; and where it is says nothing of whether it is a fault, unless
+            # all of its answers are alike.
             nothing += _log_sum(0.0, proven.evidence + faults[proven]) - others[proven]
             nothing += proven.prior if proven.raw is None else 0.0
         leader = self._leader(counts)
@@ -352,7 +353,7 @@ class Belief:
     def _noise_of(self, voters: Sequence[SensorMode], best: Surface | None) -> float:
         """The probability that the readings of all sensors are noise.
 
-        A sensor that sees something else than the ground says nothing about whether the others see the ground.
+        A sensor on another surface is no evidence about the ground.
         """
         no_others = None, best, self.proven
         witnesses = [mode for mode in voters if mode.sees in no_others or mode.readings < 2 or mode.noise > 0.0]
