@@ -96,7 +96,7 @@ def test_distances_that_nobody_gets_are_not_all_well() -> None:
 
 def test_a_link_that_is_down_says_why() -> None:
     bench = Bench(airframe(), 300)
-    bench.wire.connected, bench.wire.last_error = False, "No such file or directory"
+    bench.wire.connected, bench.wire.last_error = False, "wire: No such file or directory"
     (finding,) = bench.fly(7.0).bridge.verdict.findings
     assert finding.remedy.startswith("wire: No such file or directory; check ")
 
