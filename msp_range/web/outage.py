@@ -1,4 +1,4 @@
-"""Why the page has no bridge, as systemd knows it: the bridge's error message, which it sends as its status when it ends."""
+"""Why the page has no bridge, as systemd knows it: the error message that it sends as its status when it ends."""
 
 import asyncio
 import json
