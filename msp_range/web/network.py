@@ -14,6 +14,7 @@ from typing import TextIO
 
 import segno
 
+from msp_range.state_folder import SERVICE_FOLDER
 from msp_range.watch.place import ALL_FAMILIES, LOOPBACK, Listen, parse_listen
 from msp_range.yaml_file import ConfigError
 
@@ -21,7 +22,7 @@ UNIT = Path("/etc/systemd/system/msp-range-web.service")
 PACKAGED = Path("/usr/lib/systemd/system") / UNIT.name
 """Where install.sh and the Debian package have the page's unit."""
 DROP_IN = UNIT.with_name(f"{UNIT.name}.d") / "network.conf"
-TOKEN = Path("/var/lib/msp-range/web-token")
+TOKEN = SERVICE_FOLDER / "web-token"
 AVAHI = Path("/run/avahi-daemon/socket")
 """It is there while avahi gives this computer the name NAME.local in its networks."""
 PORT = 8642
