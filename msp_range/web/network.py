@@ -56,6 +56,7 @@ def switch(on: bool) -> None:
     """
     if not (UNIT.exists() or PACKAGED.exists()):
         raise ConfigError(f"{UNIT}: not there, so no page is installed; sudo ./install.sh installs it")
+    _systemctl("--version", stdout=subprocess.DEVNULL)  # without it nothing is written
     try:
         if on:
             DROP_IN.parent.mkdir(exist_ok=True)

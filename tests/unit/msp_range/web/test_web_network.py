@@ -25,6 +25,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     systemctl.parent.mkdir()
     systemctl.write_text(f"""#!/bin/sh
 if [ "$1" = show ]; then cat {tmp_path}/*.service.d/*.conf 2>/dev/null | sed -n 's/^Environment=//p' | tail -n 1
+elif [ "$1" = --version ]; then echo systemd
 else echo "$@" >>{tmp_path}/asked; [ ! -e {tmp_path}/fails ]; fi
 """)
     systemctl.chmod(0o755)
@@ -104,6 +105,7 @@ def test_without_systemd_there_is_no_page_of_a_service(installed: Path, monkeypa
     for command in (network.show, lambda: network.switch(True)):
         with pytest.raises(ConfigError, match="systemctl: No such file or directory"):
             command()
+    assert not network.DROP_IN.exists()
 
 
 def test_what_cannot_be_done_says_what_to_do(installed: Path) -> None:
