@@ -87,8 +87,9 @@ def listen() -> Listen:
     ConfigError
         There is no systemd, or LISTEN is no address.
     """
-    shown = _systemctl("show", "--property=Environment", "--value", UNIT.name, stdout=subprocess.PIPE).stdout
-    found = [word.removeprefix("LISTEN=") for word in shlex.split(shown or "") if word.startswith("LISTEN=")]
+    shown = _systemctl("show", "-p", "Environment", UNIT.name, stdout=subprocess.PIPE).stdout
+    words = shlex.split(shown.removeprefix("Environment="))
+    found = [word.removeprefix("LISTEN=") for word in words if word.startswith("LISTEN=")]
     return parse_listen(found[-1] if found else str(PORT))
 
 

@@ -24,7 +24,8 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     systemctl = tmp_path / "bin" / "systemctl"
     systemctl.parent.mkdir()
     systemctl.write_text(f"""#!/bin/sh
-if [ "$1" = show ]; then cat {tmp_path}/*.service.d/*.conf 2>/dev/null | sed -n 's/^Environment=//p' | tail -n 1
+if [ "$1" = show ]; then
+    echo Environment=A=1 $(cat {tmp_path}/*.service.d/*.conf 2>/dev/null | sed -n 's/^Environment=//p' | tail -n 1)
 elif [ "$1" = --version ]; then echo systemd
 else echo "$@" >>{tmp_path}/asked; [ ! -e {tmp_path}/fails ]; fi
 """)
