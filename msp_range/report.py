@@ -21,6 +21,7 @@ from msp_range.doctor.examination import examine
 from msp_range.input_file import printable
 from msp_range.recording.error import new_file
 from msp_range.recording.reader import newest_recording
+from msp_range.state_folder import SERVICE_FOLDER
 from msp_range.terminal import wrapped
 from msp_range.watch.client import connect, read_once
 from msp_range.watch.place import sockets
@@ -32,11 +33,15 @@ SECRET = re.compile(
 )
 """A value with the name of a secret, in YAML, JSON or an address of the page; and the 32 bytes of a signing key."""
 REMOVED = r"\1(removed)"
-RECORDING_BYTES = 20_000_000
-"""Largest part of a recording [bytes]: what most mail servers take, and two hours of four sensors. Where the file is
-larger its end is left out, and `msp-range recover` reads the rest."""
-JOURNAL = ("journalctl", "--unit=msp-range", "--lines=5000", "--no-pager", "--output=short-iso")
-"""The service's journal: 5000 lines are some days of a bench, or all that a bad day writes."""
+RECORDING_BYTES = 15_000_000
+"""Largest part of a recording [bytes]: 20.5 MB in a mail, where base64 makes 4 bytes of 3, and so below the 25 MB that
+servers usually take. Of a larger file the middle is left out, since what is reported happened at its end;
+`msp-range recover` reads the rest. More would not arrive by mail, less would show less of what led to it."""
+BEGINNING_BYTES = 1_000_000
+"""What of a larger recording's beginning is kept [bytes]: it has the airframe file and the form of each topic, without
+which the end cannot be read. It is minutes of four sensors; a topic whose first message comes later is lost."""
+JOURNAL = ("journalctl", "--unit=msp-range", "--unit=msp-range-web", "--lines=5000", "--no-pager", "--output=short-iso")
+"""The journal of bridge and page: 5000 lines are some days of a bench, or all that a bad day writes."""
 JOURNAL_S = 20.0
 
 
@@ -59,20 +64,31 @@ def write_report(path: Path, out: Path | None, computer: Computer, clock: Clock)
     listed = []
     with new_file(out) as unfinished, ZipFile(unfinished, "w", ZIP_DEFLATED) as archive:
         for part in (_airframe, _sensors, _versions, _journal, _doctor, _status, _recording):
-            try:
-                for name, content, note in part(path, computer, clock):
-                    archive.writestr(name, SECRET.sub(REMOVED, content) if isinstance(content, str) else content)
-                    listed.append(f"{name}: {note}, {len(content) / 1e3:.1f} kB")
-                    yield listed[-1]
-            except Exception as error:  # whatever it is, the other parts are of use without this one
-                listed.append(printable(f"{part.__name__[1:]}: not in it: {error}"))
+            found, failure = _collected(part(path, computer, clock))
+            for name, content, note in found:
+                archive.writestr(name, SECRET.sub(REMOVED, content) if isinstance(content, str) else content)
+                listed.append(f"{name}: {note}, {len(content) / 1e3:.1f} kB")
+                yield listed[-1]
+            if failure is not None:
+                listed.append(printable(f"{part.__name__[1:]}: not in it: {failure}"))
                 yield listed[-1]
         archive.writestr("contents.txt", "\n".join(listed) + "\n")
     yield f"written: {out}. Values of keys, tokens and passwords are removed from its texts; look before you send it"
 
 
-Part = Iterator[tuple[str, str | bytes, str]]
-"""Files of a part: name in the archive, content, what it is."""
+File = tuple[str, str | bytes, str]
+"""Name in the archive, content, what it is."""
+Part = Iterator[File]
+
+
+def _collected(part: Part) -> tuple[list[File], Exception | None]:
+    """Files of a part, and the error that ended it."""
+    found: list[File] = []
+    try:
+        found.extend(part)
+    except Exception as error:  # whatever it is, the other parts are of use without this one
+        return found, error
+    return found, None
 
 
 def _airframe(path: Path, *_: object) -> Part:
@@ -94,7 +110,10 @@ def _versions(_: Path, computer: Computer, __: Clock) -> Part:
 
 def _journal(*_: object) -> Part:
     done = subprocess.run(JOURNAL, capture_output=True, timeout=JOURNAL_S, text=True, errors="replace")
-    yield "journal.txt", done.stdout + done.stderr, "the service's journal, its last 5000 lines"
+    if done.returncode != 0 and not done.stdout:
+        raise ConfigError(f"journalctl: exit code {done.returncode}: {done.stderr.strip()}")
+    ending = f", where journalctl ended with exit code {done.returncode}" if done.returncode != 0 else ""
+    yield "journal.txt", done.stdout + done.stderr, f"journal of the service and its page, the last 5000 lines{ending}"
 
 
 def _doctor(path: Path, computer: Computer, clock: Clock) -> Part:
@@ -111,12 +130,24 @@ def _status(*_: object) -> Part:
 
 
 def _recording(path: Path, *_: object) -> Part:
-    settings = load_airframe(path).recording
-    newest = None if settings is None else newest_recording(settings.folder)
-    if newest is None:
+    files = [each for folder in _folders(path) if (each := newest_recording(str(folder))) is not None]
+    if not files:
         raise ConfigError("there is none")
+    newest = max(files, key=lambda each: each.stat().st_mtime)
+    left = newest.stat().st_size - RECORDING_BYTES
     with newest.open("rb") as file:
-        content = file.read(RECORDING_BYTES)
-    left = newest.stat().st_size - len(content)
-    note = f"; its last {left / 1e6:.1f} MB are left out" if left > 0 else ""
+        content = file.read(RECORDING_BYTES if left <= 0 else BEGINNING_BYTES)
+        if left > 0:
+            file.seek(BEGINNING_BYTES + left)
+            content += file.read(RECORDING_BYTES - BEGINNING_BYTES)
+    note = f"; {left / 1e6:.1f} MB of its middle are left out: msp-range recover reads the rest" if left > 0 else ""
     yield newest.name, content, f"the last recording{note}, as it was written, with its airframe file"
+
+
+def _folders(path: Path) -> list[Path]:
+    """Where the last recording may be; a relative folder is the service's or one of this working folder."""
+    try:
+        settings = load_airframe(path).recording
+    except ConfigError:  # the list has the error already; the service's bridge ran before the file was broken
+        return [SERVICE_FOLDER, *(each for each in SERVICE_FOLDER.glob("*") if each.is_dir())]
+    return [] if settings is None else [Path(settings.folder), SERVICE_FOLDER / settings.folder]

@@ -3,6 +3,7 @@
 Airframes and campaigns extend this section with further keys.
 """
 
+import re
 from typing import Annotated
 
 from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, model_validator
@@ -18,13 +19,15 @@ from msp_range.yaml_file import Section, load_named
 def _understood(address: object) -> object:
     """Refuse the 8-bit form of data sheets with the address that is meant, and what is neither address nor port."""
     if isinstance(address, str):
+        if re.fullmatch(r"0x[0-9a-fA-F]+|\d+", address):
+            raise ValueError(f"expected a number without quotes: address: {address}")
         try:
             url = parse_url(address)
         except ValueError:
             url = None
         if not isinstance(url, SerialUrl) or str(url) != address:
             raise ValueError(f"expected a 7-bit I2C address such as 0x70, or {PORT}")
-    if isinstance(address, int) and 0x80 <= address <= 0xEE:
+    if isinstance(address, int) and 0x80 <= address <= 0xEF:  # 0xEF: of a read from 0x77
         raise ValueError(f"0x{address:02X} is the 8-bit form of 0x{address >> 1:02x}; expected the 7-bit form")
     return address
 

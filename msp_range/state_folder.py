@@ -6,6 +6,8 @@ from tempfile import gettempdir
 
 SERVICE_USER = "msp-range"
 """The user of the service, made by install.sh."""
+SERVICE_FOLDER = Path("/var/lib/msp-range")
+"""Its working folder, with its recordings."""
 SERVICE_AIRFRAME = Path("/etc/msp-range/airframe.yaml")
 """The service's airframe file, made by install.sh: that of each command which is given none."""
 CHOOSE_AIRFRAME = f"sudo msp-range airframes --into {SERVICE_AIRFRAME.parent}"

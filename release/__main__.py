@@ -1,6 +1,7 @@
 """Make all files of a release of the last commit: ``make release`` (docs/releasing.md says what each is for).
 
-The same commit gives the same bytes: files have the commit's time, and packages are those of requirements.lock.
+The same commit gives the same bytes with the same Python, uv and dpkg: files have the commit's time, and packages are
+those of requirements.lock. Not so the images, whose first layer has what Debian's archive has on the day.
 """
 
 import argparse
@@ -8,7 +9,6 @@ import gzip
 import hashlib
 import os
 import re
-import shutil
 import subprocess
 import sys
 import tarfile
@@ -21,10 +21,35 @@ from release.deb import make_deb
 from release.image import make_image
 from release.wheels import MACHINES
 
+FILES = re.compile(r"SHA256SUMS|msp[_-]range[_-].*")
+"""Names of a release's files: what may be deleted before a new one is made."""
+
 
 def git(*words: str) -> bytes:
     """What a git command prints in this clone."""
     return subprocess.run(["git", *words], cwd=ROOT, check=True, capture_output=True).stdout
+
+
+def is_committed() -> bool:
+    """Whether the last commit has all that is in this clone, apart from what .gitignore names."""
+    return not git("status", "--porcelain", "--untracked-files=normal")
+
+
+def empty(folder: Path) -> None:
+    """Make a folder for a release, and delete the files of an earlier one in it.
+
+    Raises
+    ------
+    ValueError
+        It has anything else, such as a home folder that was given by mistake; nothing is deleted.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    found = sorted(folder.iterdir())
+    others = [path.name for path in found if not (path.is_file() and FILES.fullmatch(path.name))]
+    if others:
+        raise ValueError(f"--out {folder}: it has {others[0]}, which is no file of a release; choose another folder")
+    for path in found:
+        path.unlink()
 
 
 def export(folder: Path) -> int:
@@ -77,15 +102,20 @@ def make_sbom(tree: Path, version: str, out: Path) -> None:
 def main() -> int:
     """Make them; the exit code."""
     parser = argparse.ArgumentParser(prog="python -m release", description=__doc__)
-    parser.add_argument("--out", type=Path, default=ROOT / "build/release", help="folder, which is emptied first")
+    parser.add_argument(
+        "--out", type=Path, default=ROOT / "build/release", help="folder; an earlier release in it is deleted"
+    )
     parser.add_argument("--machine", choices=MACHINES, action="append", help="kind of processor (default: both)")
     parser.add_argument("--no-image", action="store_true", help="without container images, which need root")
     given = parser.parse_args()
-    if git("status", "--porcelain", "--untracked-files=no"):
-        print("note: there are changes that are not committed; they are not in these files", file=sys.stderr)
+    try:
+        empty(given.out)
+    except (ValueError, OSError) as error:
+        print(f"python -m release: {error}", file=sys.stderr)
+        return 3
+    if not is_committed():
+        print("note: changes or new files are not committed, and so not in this release: git status", file=sys.stderr)
     os.umask(0o022)
-    shutil.rmtree(given.out, ignore_errors=True)
-    given.out.mkdir(parents=True)
     with TemporaryDirectory() as folder:
         tree = Path(folder) / "tree"
         time_s = export(tree)

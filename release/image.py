@@ -2,7 +2,7 @@
 
 Two layers: Debian's Python with the few packages that it cannot do without, extracted by mmdebstrap (no program of the
 image runs, so it is made for either processor), and the packages that the lock file pins with this one. Times are the
-commit's. The first layer is the same as long as Debian's archive has the same versions.
+commit's. The first layer is the same only as long as Debian's archive has the same versions.
 """
 
 import gzip
@@ -30,6 +30,8 @@ LEFT_OUT = ("./dev/", "./var/", "./etc/apt", "./usr/share/locale/", "./usr/share
 """Folders of Debian without a use in the image; the licences in /usr/share/doc stay."""
 USER = 10001
 """User and group in the image; one that a computer's own users hardly have."""
+NAME = "localhost/msp-range"
+"""The image's name. With a registry of its own, which is none, no engine looks for it in a public one."""
 LIBRARY = "opt/msp-range"
 MEDIA = "application/vnd.oci.image"
 USERS = f"root:x:0:0::/root:/bin/sh\nmsp-range:x:{USER}:{USER}::/var/lib/msp-range:/bin/sh\n"
@@ -116,7 +118,8 @@ def _layout(configuration: dict[str, Any], layers: list[bytes], version: str) ->
         "layers": [descriptor("layer.v1.tar+gzip", gzip.compress(layer, compresslevel=6, mtime=0)) for layer in layers],
     }
     named = descriptor("manifest.v1+json", json.dumps(manifest).encode())
-    named["annotations"] = {"org.opencontainers.image.ref.name": version}
+    name = f"{NAME}:{version}"
+    named["annotations"] = {"io.containerd.image.name": name, "org.opencontainers.image.ref.name": name}
     named["platform"] = {name: configuration[name] for name in ("architecture", "os")}
     index = {"schemaVersion": 2, "mediaType": f"{MEDIA}.index.v1+json", "manifests": [named]}
     files = {"oci-layout": b'{"imageLayoutVersion": "1.0.0"}', "index.json": json.dumps(index).encode()}

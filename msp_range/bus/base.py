@@ -29,9 +29,9 @@ class BusError(UserError, OSError):
     """A transfer that failed: BusError(errno, verb, address).
 
     ``errno`` is the kernel's (121 not acknowledged on a Raspberry Pi, 110 timed out, 5 clock stretch timeout, 6 and
-    19 on other adapters, 2 no such bus; on a serial port 11 nothing received, 19 unplugged, 2 no such port). The text
-    is made only when somebody reads it: a sensor that ranges does not acknowledge, so this is raised many times a
-    second in normal work.
+    19 on other adapters, 2 no such bus; on a serial port 11 nothing received, 5 unplugged just now, 19 not open since
+    then, 2 no such port). The text is made only when somebody reads it: a sensor that ranges does not acknowledge, so
+    this is raised many times a second in normal work.
     """
 
     never_opened = False
@@ -91,8 +91,8 @@ class Bus(Protocol):
         """
 
     def busy_s(self, address: Address) -> float | None:
-        """Time until a device at ``address`` can answer a read [s]; 0: at any time; None: unknown, as on every real
-        bus."""
+        """Time until a device at ``address`` can answer a read [s]; 0: at any time; None: unknown, as on a real
+        I2C bus. A serial port can be read at any time."""
 
     def reopen(self) -> None:
         """Close and open the bus again after a lock-up; raises BusError if that fails."""

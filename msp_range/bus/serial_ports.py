@@ -21,12 +21,15 @@ def open_port(path: str, baud: int) -> FileIO:
     OSError
         There is no such port, it may not be opened, another program has it, or it does not have this rate.
     """
+    speed = getattr(termios, f"B{baud}", None)
+    if speed is None:
+        raise OSError(errno.EINVAL, f"serial ports have no rate of {baud} baud")
     # O_NONBLOCK: do not wait for a carrier; O_NOCTTY: a ^C that arrives must not end the bridge.
     port = FileIO(os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK), "r+")
-    speed = getattr(termios, f"B{baud}")
     mode = termios.CS8 | termios.CREAD | termios.CLOCAL
     try:
-        # This is the lock of pyserial and most terminal programs, and the only one that root respects.
+        # Two locks: root respects flock only, which others take if they ask for it (exclusive=True in pyserial);
+        # TIOCEXCL makes every later open fail that is not root's.
         fcntl.flock(port, fcntl.LOCK_EX | fcntl.LOCK_NB)
         fcntl.ioctl(port, termios.TIOCEXCL)
         control = termios.tcgetattr(port)[6]
@@ -64,7 +67,8 @@ class SerialPorts:
                 path, _, baud = address.removeprefix("serial:").rpartition(":")
                 self._ports[address] = open_port(path, int(baud))
             termios.tcflush(self._ports[address], termios.TCIFLUSH)
-            os.write(self._ports[address].fileno(), data)
+            if os.write(self._ports[address].fileno(), data) != len(data):
+                raise OSError(errno.EIO, "the port took a part of it only")
         except (OSError, termios.error) as error:
             raise self._failed("write", address, error.args[0]) from None
 

@@ -1,8 +1,8 @@
 """MaxBotix MaxSonar on a serial port: the XL family in centimetres, the HRLV and HRXL families in millimetres.
 
 Sources: MaxBotix' data sheets of the series XL-MaxSonar-EZ/AE, HRLV-MaxSonar-EZ and HRXL-MaxSonar-WR (PD11500), and its
-article 'Using the MaxSonar TX Output'; the same lines are read by ArduPilot's AP_RangeFinder_MaxsonarSerialLV, which
-takes what is between two carriage returns, whatever it is. Not tried on a real sensor.
+article 'Using the MaxSonar TX Output'. ArduPilot's AP_RangeFinder_MaxsonarSerialLV reads lines of this form, too, as
+inches: it keeps their digits and drops all else. Not tried on a real sensor.
 
 9600 baud, 8N1. The sensor measures by itself while its pin 4 is open or high, and sends an ASCII 'R', the range in a
 fixed number of digits and a carriage return, without a checksum. One number says that there was no target. A digit that

@@ -45,6 +45,10 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1")
 """Names and addresses of this computer for itself."""
 
 
+ALL_FAMILIES = "::"
+"""As the host of `Listen`: all addresses of this computer, IPv6 and IPv4."""
+
+
 def parse_listen(text: str) -> Listen:
     """Host and port of ``[HOST:]PORT``; without a host this computer only.
 

@@ -1,14 +1,18 @@
-"""Why no bridge runs, as systemd knows it: the bridge's error message, which it sends as its status when it ends."""
+"""Why the page has no bridge, as systemd knows it: the error message that it sends as its status when it ends."""
 
 import asyncio
 import json
+import signal
 from asyncio.subprocess import DEVNULL, PIPE
 from contextlib import suppress
 from typing import Any
 
 from msp_range.watch.newest import GONE
 
-PROPERTIES = "Id,ActiveState,StatusText,ExecMainStatus"
+PROPERTIES = "Id,ActiveState,StatusText,ExecMainCode,ExecMainStatus"
+KILLED = ("2", "3")
+"""ExecMainCode of a process that a signal ended, without and with a core file (CLD_KILLED and CLD_DUMPED of waitid(2)):
+ExecMainStatus is the signal then."""
 Unit = dict[str, str]
 
 
@@ -45,16 +49,33 @@ def _fault(unit: Unit) -> dict[str, Any]:
     'No distances: a.yaml:3: speed: unknown key'
     >>> _fault({"Id": "a", "ActiveState": "activating", "ExecMainStatus": "0", "StatusText": "good"})["text"]
     'No distances: a is activating, exit code 0'
+    >>> _fault({"Id": "a", "ActiveState": "activating", "ExecMainCode": "2", "ExecMainStatus": "6"})["text"]
+    'No distances: a is activating, ended by SIGABRT'
+    >>> _fault({"Id": "a", "ActiveState": "active"})["text"]
+    'No distances on this page: the bridge runs, and its socket cannot be reached'
     >>> _fault({"Id": "a", "ActiveState": "deactivating"})["remedy"]
     'sudo systemctl start a'
     """
     name, state, reason = (unit.get(key, "") for key in ("Id", "ActiveState", "StatusText"))
-    text, remedy = "no bridge runs", "start it: msp-range run AIRFRAME.yaml"
-    if state in ("inactive", "deactivating"):
+    text, remedy, where = "no bridge runs", "start it: msp-range run AIRFRAME.yaml", ""
+    if state in ("active", "reloading", "refreshing"):
+        text, where = "the bridge runs, and its socket cannot be reached", " on this page"
+        remedy = f"journalctl -u {name} -u msp-range-web -n 40 says why"
+    elif state in ("inactive", "deactivating"):
         text, remedy = f"{name} is stopped", f"sudo systemctl start {name}"
     elif state == "failed" and reason:
         text, remedy = reason, f"repair this, then: sudo systemctl restart {name}"
     elif state:
-        text = f"{name} is {state}, exit code {unit['ExecMainStatus']}"
+        text = f"{name} is {state}{_ending(unit)}"
         remedy = f"journalctl -u {name} -n 20 says why"
-    return {"text": f"No distances: {text}", "remedy": remedy, "severity": "error", "cause": None}
+    return {"text": f"No distances{where}: {text}", "remedy": remedy, "severity": "error", "cause": None}
+
+
+def _ending(unit: Unit) -> str:
+    """How its process ended last: by an exit code or a signal; empty if systemd does not report it."""
+    status = unit.get("ExecMainStatus", "")
+    if unit.get("ExecMainCode") not in KILLED:
+        return f", exit code {status}" if status else ""
+    with suppress(ValueError):
+        return f", ended by {signal.Signals(int(status)).name}"
+    return f", ended by signal {status}"

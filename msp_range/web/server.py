@@ -27,7 +27,7 @@ from msp_range.recording.topics import MOTION_TOPIC, SENT_TOPIC, WITHHELD_TOPIC
 from msp_range.watch.client import LONGEST_PACKET, parsed
 from msp_range.watch.feed import LONGEST_MARK
 from msp_range.watch.newest import GONE, Newest
-from msp_range.watch.place import Listen
+from msp_range.watch.place import ALL_FAMILIES, Listen
 from msp_range.web.access import refusal
 from msp_range.web.metrics import BridgeMetrics
 from msp_range.web.outage import gone_packet, unit_state
@@ -104,7 +104,7 @@ class Page:
             loop.add_reader(sys.stdin.fileno(), stop.set)
         async with serve(
             self._on_browser,
-            listen.host,
+            None if listen.host == ALL_FAMILIES else listen.host,  # asyncio's '::' would be without IPv4
             listen.port,
             process_request=self._on_request,
             max_size=4096,

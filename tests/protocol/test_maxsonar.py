@@ -146,6 +146,18 @@ def test_it_has_no_address_on_the_bus() -> None:
         MaxSonarCm.move(bus, VirtualClock(), 0x70, 0x71)
 
 
+@pytest.mark.parametrize("family", FAMILIES)
+def test_no_echo_and_the_minimum_are_one_number_each(family: type[MaxSonar]) -> None:
+    """Not those that round to it: the next millimetre, or centimetre, is a range."""
+    least, most = family.minimum_cm * family.per_cm, min(family.no_echo_cm * family.per_cm, 10**family.digits - 1)
+
+    def status(number: int) -> Status:
+        return family.decode(family.word(f"R{number:0{family.digits}d}".encode())).status
+
+    found = [status(number) for number in (least - 1, least, least + 1, most - 1, most)]
+    assert found == [Status.IMPOSSIBLE, Status.AT_MINIMUM, Status.OK, Status.OK, Status.NO_ECHO]
+
+
 # --- in an airframe file ---
 
 
@@ -401,6 +413,28 @@ def test_noise_and_half_lines_on_a_port_are_no_distance(tmp_path: Path) -> None:
         readings = [step.ranging.reading for step in flown.fly(8.0)]
     assert {reading.range_m for reading in readings} == {2.58, None}
     assert {reading.status for reading in readings} >= {Status.OK, Status.IMPOSSIBLE}
+
+
+def open_files() -> int:
+    return len(os.listdir("/proc/self/fd"))
+
+
+def test_a_rate_that_no_port_has_is_an_error_and_leaves_nothing_open(tmp_path: Path) -> None:
+    with flight(tmp_path):
+        before = open_files()
+        with pytest.raises(OSError, match="no rate of 9601 baud"):
+            open_port(str(tmp_path / "ttyUSB0"), 9601)
+        assert open_files() == before
+
+
+def test_a_port_that_takes_a_part_only_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with flight(tmp_path):
+        ports, address, before = SerialPorts(), f"serial:{tmp_path / 'ttyUSB0'}:9600", open_files()
+        monkeypatch.setattr(os, "write", lambda _, data: len(data) - 1)
+        with pytest.raises(BusError) as caught:
+            ports.write(address, b"ab")
+        assert caught.value.errno == errno.EIO
+        assert open_files() == before
 
 
 def test_a_port_serves_one_program(tmp_path: Path) -> None:

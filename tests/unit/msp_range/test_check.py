@@ -119,6 +119,10 @@ def test_a_file_of_another_kind_is_one_line(folder: str, other: str) -> None:
 def test_the_eight_bit_form_is_explained(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="0xE2 is the 8-bit form of 0x71; expected the 7-bit form"):
         airframe("quad_pallet", tmp_path, ("0x71", "0xE2"))
+    with pytest.raises(ConfigError, match="0xEF is the 8-bit form of 0x77; expected the 7-bit form"):
+        airframe("quad_pallet", tmp_path, ("0x71", "0xEF"))
+    with pytest.raises(ConfigError, match="expected a number without quotes: address: 0x71"):
+        airframe("quad_pallet", tmp_path, ("0x71", "'0x71'"))
     with pytest.raises(ConfigError, match="less than or equal to 119"):
         airframe("quad_pallet", tmp_path, ("0x71", "0x1F0"))
 
