@@ -10,6 +10,8 @@ import shutil
 import socket
 import subprocess
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
@@ -469,6 +471,28 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--keep", action="store_true", help="keep the container's folder")
 
 
+@contextmanager
+def booted(suite: str, keep: bool = False) -> Iterator[Machine]:
+    """A Debian that has booted; ends with what came of the steps in it, and `Machine.failed`."""
+    folder = Path(mkdtemp(prefix="msp-install-", dir="/var/tmp"))
+    machine = Machine(make_debian(ROOT / "build/install", suite), folder)
+    try:
+        machine.boot()
+        versions = machine.run("systemctl --version | head -1; cat /etc/debian_version").stdout
+        say(f"booted: {versions.replace(chr(10), ', ')}")
+        yield machine
+        say("all as it should be")
+    except (AssertionError, RuntimeError, subprocess.TimeoutExpired) as error:
+        machine.failed = 1
+        say(f"FAILED: {error}")
+        if machine.leader:
+            say(machine.run("journalctl -u msp-range -u msp-range-web --no-pager -n 40", check=False).stdout)
+    finally:
+        machine.close()
+        if not keep:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
 def main(given: argparse.Namespace) -> int:
     """Run all steps; the exit code."""
     absent = missing()
@@ -477,16 +501,8 @@ def main(given: argparse.Namespace) -> int:
         return 3
     say(f"has wheels: {has_wheels.__doc__}")
     has_wheels()
-    archive = make_debian(ROOT / "build/install", given.suite)
-    folder = Path(mkdtemp(prefix="msp-install-", dir="/var/tmp"))
-    machine = Machine(archive, folder)
-    receiver = Receiver()
-    try:
-        machine.boot()
-        say(
-            "booted: "
-            + machine.run("systemctl --version | head -1; cat /etc/debian_version").stdout.replace("\n", ", ")
-        )
+    with booted(given.suite, given.keep) as machine:
+        receiver = Receiver()
         machine.emulate_sensors(READINGS_CM)
         for step in (
             install,
@@ -507,14 +523,4 @@ def main(given: argparse.Namespace) -> int:
         is_removed(machine)
         say(f"asks at a terminal: {asks_at_a_terminal.__doc__}")
         asks_at_a_terminal(machine)
-    except (AssertionError, RuntimeError, subprocess.TimeoutExpired) as error:
-        say(f"FAILED: {error}")
-        if machine.leader:
-            say(machine.run("journalctl -u msp-range -o cat --no-pager -n 40", check=False).stdout)
-        return 1
-    finally:
-        machine.close()
-        if not given.keep:
-            shutil.rmtree(folder, ignore_errors=True)
-    say("all as it should be")
-    return 0
+    return machine.failed

@@ -49,7 +49,9 @@ def make_debian(folder: Path, suite: str) -> Path:
 
 
 class Machine:
-    """A booted container; `close` ends it."""
+    """A booted container; `close` ends it. ``failed`` is 1 once a step in it was not as it should be, else 0."""
+
+    failed = 0
 
     def __init__(self, archive: Path, folder: Path) -> None:
         self.root = folder / "root"

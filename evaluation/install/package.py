@@ -11,7 +11,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from tempfile import mkdtemp
 
 from evaluation import ROOT
 from evaluation.install.command import (
@@ -19,6 +18,7 @@ from evaluation.install.command import (
     RESTARTED_S,
     SUDO,
     Receiver,
+    booted,
     differences,
     expect,
     is_active,
@@ -28,7 +28,7 @@ from evaluation.install.command import (
     say,
     snapshot,
 )
-from evaluation.install.machine import Machine, make_debian, missing
+from evaluation.install.machine import Machine, missing
 
 SUITES = ("bookworm", "trixie")
 """Debian 12 and 13, for which the package is."""
@@ -140,13 +140,9 @@ def main(given: argparse.Namespace) -> int:
 
 def on_debian(suite: str, package: Path, before: Path) -> int:
     """Run all steps on one Debian; the exit code."""
-    folder = Path(mkdtemp(prefix="msp-package-", dir="/var/tmp"))
-    machine = Machine(make_debian(ROOT / "build/install", suite), folder)
-    receiver = Receiver()
-    try:
-        machine.boot()
-        booted = machine.run("systemctl --version | head -1; cat /etc/debian_version").stdout
-        say(f"{suite}, booted: {booted.replace(chr(10), ', ')}{before.name}, then {package.name}")
+    with booted(suite) as machine:
+        receiver = Receiver()
+        say(f"{suite}: {before.name}, then {package.name}")
         clean = snapshot(machine)
         machine.emulate_sensors(READINGS_CM)
         starts(machine, receiver, before)
@@ -155,13 +151,4 @@ def on_debian(suite: str, package: Path, before: Path) -> int:
         machine.run("systemctl stop emulated-i2c")
         machine.emulate_sensors(READINGS_CM)
         starts_by_its_own_words(machine, package)
-    except (AssertionError, RuntimeError, subprocess.TimeoutExpired) as error:
-        say(f"FAILED: {error}")
-        if machine.leader:
-            say(machine.run("journalctl -u msp-range -u msp-range-web --no-pager -n 40", check=False).stdout)
-        return 1
-    finally:
-        machine.close()
-        shutil.rmtree(folder, ignore_errors=True)
-    say("all as it should be")
-    return 0
+    return machine.failed
