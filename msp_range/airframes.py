@@ -16,10 +16,6 @@ def shipped_airframes() -> dict[str, Airframe]:
     return {path.stem: read_airframe(path) for path in sorted(SHIPPED.glob("*.yaml"))}
 
 
-def _count(airframe: Airframe) -> str:
-    return str(len(airframe.sensors))
-
-
 def _looks(airframe: Airframe) -> str:
     names = {sensor.orientation.name for sensor in airframe.sensors}
     if names >= AROUND:
