@@ -7,106 +7,43 @@ minutes, most of them for pip; needs root, mmdebstrap and systemd-nspawn.
 import argparse
 import re
 import shutil
-import socket
 import subprocess
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
-from tempfile import TemporaryDirectory, mkdtemp
-
-from pymavlink.dialects.v20 import common
+from tempfile import TemporaryDirectory
 
 from evaluation import ROOT
-from evaluation.install.machine import Machine, make_debian, missing
+from evaluation.install.machine import Machine, missing
+from evaluation.install.trial import (
+    OPT_PYTHON,
+    READINGS_CM,
+    RESTARTED_S,
+    SUDO,
+    Receiver,
+    booted,
+    differences,
+    expect,
+    is_active,
+    is_served,
+    megabytes,
+    recordings,
+    say,
+    snapshot,
+)
 from release.wheels import MACHINES, PYTHONS, download
 
-READINGS_CM = (40, 40, 40, 40)
 MAX_INSTALLED_MB = 300
 """The bridge's environment may be this large, as docs/developing.md says."""
 MAX_EXPOSURE = 2.0
 """What `systemd-analyze security` may find at most: 0 is a service that can do nothing, 10 one that can do all."""
-RESTARTED_S = 10.0
-"""A killed service sends distances again within this; docs/flying.md has what it takes on an idle computer."""
 INSTALL = "sudo ./install.sh"
 """As docs/installing.md shows it."""
 WEB_ON = "sudo msp-range web on"
 """As docs/watching.md shows it."""
-SUDO = 'sudo() { "$@"; }'
 EMPTY_DISK_MB = 24
 MAX_BRIDGE_MB, MAX_PAGE_MB = 170, 60
 """What bridge and page may hold in memory."""
-OPT_PYTHON = "/opt/msp-range/venv/bin/python"
-PAGE = "http://127.0.0.1:8642/"
-
-
-def say(text: str) -> None:
-    """Print a line at once."""
-    print(text, flush=True)
-
-
-def expect(condition: bool, text: str) -> None:
-    """Print what was seen; raises RuntimeError where it is not so."""
-    if not condition:
-        raise RuntimeError(f"not so: {text}")
-    say(f"    ok: {text}")
-
-
-class Receiver:
-    """The far end of the bridge's UDP link."""
-
-    def __init__(self) -> None:
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.bind(("127.0.0.1", 0))
-        self.socket.setblocking(False)
-        self.port = self.socket.getsockname()[1]
-        self._parser = common.MAVLink(None)
-        self._parser.robust_parsing = True
-        self.texts: list[str] = []
-
-    def distances(self) -> list[int]:
-        """Distances [cm] that have come since the last call."""
-        found: list[int] = []
-        while True:
-            try:
-                datagram = self.socket.recv(2000)
-            except BlockingIOError:
-                return found
-            for message in self._parser.parse_buffer(datagram) or []:
-                if message.get_type() == "DISTANCE_SENSOR":
-                    found.append(message.current_distance)
-                elif message.get_type() == "STATUSTEXT":
-                    self.texts.append(message.text)
-
-    def await_distance(self) -> float:
-        """Wait for a new distance; returns how long it took [s]."""
-        self.distances()
-        return Machine.until("distance", lambda: bool(self.distances()))
-
-    def await_text(self, pattern: str) -> None:
-        """Wait for a text to the pilot, and forget those up to it."""
-
-        def is_there() -> bool:
-            self.distances()
-            return any(re.search(pattern, text) for text in self.texts)
-
-        Machine.until(f"text {pattern!r}", is_there)
-        say(f"    ok: the pilot reads {next(text for text in self.texts if re.search(pattern, text))!r}")
-        self.texts.clear()
-
-
-def snapshot(machine: Machine) -> str:
-    """All folders of the container, and files with sizes and times, but for git's and those that systemd writes."""
-    return machine.run(
-        "find /etc /opt /usr/local /var/lib /root -type d -printf '%p\\n' -o -printf '%p %s %T@\\n' | sort |"
-        " grep -v -e /var/lib/systemd -e /.git/"
-    ).stdout
-
-
-def differences(before: str, after: str) -> str:
-    """Files and folders of which two snapshots say different things."""
-    return " ".join(sorted({line.split(" ")[0] for line in {*before.splitlines()} ^ {*after.splitlines()}}))
 
 
 def install(machine: Machine, receiver: Receiver) -> None:
@@ -177,12 +114,6 @@ def install(machine: Machine, receiver: Receiver) -> None:
     done = machine.run(f"cd msp-range && {SUDO}; {INSTALL}", check=False)
     expect(done.returncode == 0, "installing once more does no harm")
     receiver.await_distance()
-
-
-def is_served(machine: Machine, url: str = PAGE) -> bool:
-    """Whether the page is there."""
-    program = f'import urllib.request as u; print(u.urlopen("{url}").read().decode())'
-    return "<!doctype html>" in machine.run(f"{OPT_PYTHON} -c '{program}'", check=False).stdout
 
 
 def is_reached_by_a_phone(machine: Machine, receiver: Receiver) -> None:
@@ -270,11 +201,6 @@ def probed(machine: Machine) -> dict[str, str]:
     return dict(results[-len(DEVICES) - len(OTHERS) :])
 
 
-def megabytes(machine: Machine) -> int:
-    """Disk that the installation takes [MB]."""
-    return int(machine.run("du -sm /opt/msp-range").stdout.split()[0])
-
-
 def resident(machine: Machine, pid: str) -> int:
     """Resident memory of a process [MB]."""
     return int(machine.run(f"awk '/VmRSS/ {{print $2}}' /proc/{pid}/status").stdout) // 1024
@@ -287,11 +213,6 @@ def has_wheels() -> None:
             for lock in ROOT.glob("requirements*.lock"):
                 download(lock, python, machine, Path(folder))
         expect(True, f"wheels for Python {python} on {machine}")
-
-
-def recordings(machine: Machine) -> list[str]:
-    """Names of the recordings."""
-    return machine.run("ls /var/lib/msp-range/flights").stdout.split()
 
 
 def restarts(machine: Machine) -> int:
@@ -434,11 +355,6 @@ def boots_again(machine: Machine, receiver: Receiver) -> None:
     say("    ok: it starts at boot")
 
 
-def is_active(machine: Machine, unit: str = "msp-range") -> bool:
-    """Whether a service runs."""
-    return machine.show("ActiveState", unit) == "active"
-
-
 def is_removed(machine: Machine) -> None:
     """--uninstall keeps what is the owner's, --purge does not."""
     say(machine.run("cd msp-range && ./install.sh --uninstall").stdout)
@@ -469,28 +385,6 @@ def options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument("--suite", default="bookworm", help="Debian release (default: %(default)s)")
     parser.add_argument("--keep", action="store_true", help="keep the container's folder")
-
-
-@contextmanager
-def booted(suite: str, keep: bool = False) -> Iterator[Machine]:
-    """A Debian that has booted; ends with what came of the steps in it, and `Machine.failed`."""
-    folder = Path(mkdtemp(prefix="msp-install-", dir="/var/tmp"))
-    machine = Machine(make_debian(ROOT / "build/install", suite), folder)
-    try:
-        machine.boot()
-        versions = machine.run("systemctl --version | head -1; cat /etc/debian_version").stdout
-        say(f"booted: {versions.replace(chr(10), ', ')}")
-        yield machine
-        say("all as it should be")
-    except (AssertionError, RuntimeError, subprocess.TimeoutExpired) as error:
-        machine.failed = 1
-        say(f"FAILED: {error}")
-        if machine.leader:
-            say(machine.run("journalctl -u msp-range -u msp-range-web --no-pager -n 40", check=False).stdout)
-    finally:
-        machine.close()
-        if not keep:
-            shutil.rmtree(folder, ignore_errors=True)
 
 
 def main(given: argparse.Namespace) -> int:

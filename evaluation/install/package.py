@@ -13,7 +13,8 @@ import time
 from pathlib import Path
 
 from evaluation import ROOT
-from evaluation.install.command import (
+from evaluation.install.machine import Machine, missing
+from evaluation.install.trial import (
     READINGS_CM,
     RESTARTED_S,
     SUDO,
@@ -28,7 +29,6 @@ from evaluation.install.command import (
     say,
     snapshot,
 )
-from evaluation.install.machine import Machine, missing
 
 SUITES = ("bookworm", "trixie")
 """Debian 12 and 13, for which the package is."""

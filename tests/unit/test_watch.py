@@ -84,18 +84,20 @@ def test_median_of_counts(values: list[int]) -> None:
     assert watch.median_cm == np.median(values) + 100
 
 
+def labels_and_counts(watch: PointWatch) -> list[list[str]]:
+    return [[str(cell).strip() for cell in histogram(watch).columns[i].cells] for i in (0, 2)]
+
+
 def test_the_histogram_has_a_line_for_each_centimetre_and_one_for_the_rest() -> None:
     watch, _ = watched(*[120] * 30, *[122] * 4, 60, 400, 765)
-    labels = [cell.plain.strip() for cell in histogram(watch).columns[0].cells]  # type: ignore[union-attr]
-    counts = [cell.plain for cell in histogram(watch).columns[2].cells]  # type: ignore[union-attr]
+    labels, counts = labels_and_counts(watch)
     assert labels == ["shorter", "120 cm", "121 cm", "122 cm", "longer", "no echo"]
     assert counts == ["1", "30", "0", "4", "1", "1"]
 
 
 def test_readings_in_millimetres_are_counted_by_the_centimetre() -> None:
     watch, _ = watched(120.4, 119.8, 120.3, 121.2)
-    cells = [[cell.plain.strip() for cell in histogram(watch).columns[i].cells] for i in (0, 2)]  # type: ignore[union-attr]
-    assert cells == [["120 cm", "121 cm"], ["3", "1"]]
+    assert labels_and_counts(watch) == [["120 cm", "121 cm"], ["3", "1"]]
 
 
 def test_the_median_of_many_readings_is_found_from_their_counts(monkeypatch: pytest.MonkeyPatch) -> None:

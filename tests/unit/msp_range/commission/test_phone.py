@@ -144,11 +144,11 @@ def test_a_height_is_asked_for_until_it_is_one(opened: Opened) -> None:
 def test_the_terminal_shows_where_the_page_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(phone, "hosts", lambda: ["192.0.2.5", "vehicle.local"])
     port, out = free_port(socket.SOCK_STREAM), io.StringIO()
-    session = SimpleNamespace(clock=VirtualClock())
+    session: Any = SimpleNamespace(clock=VirtualClock())
     for host, places in ((EVERYWHERE, ("192.0.2.5", "vehicle.local")), ("127.0.0.1", ("127.0.0.1",))):
         monkeypatch.setattr(phone, "WINDOW_S", -1.0)
         with pytest.raises(ConfigError, match="ten minutes"):
-            by_phone(session, None, Listen(host, port), out)  # type: ignore[arg-type]
+            by_phone(session, None, Listen(host, port), out)
         urls = " or ".join(f"http://{place}:{port}/" for place in places)
         assert f"On the phone open {urls} and give the code" in out.getvalue()
 
