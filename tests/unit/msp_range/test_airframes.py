@@ -71,6 +71,11 @@ def test_without_a_terminal_the_names_are_reported(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_where_the_airframe_file_is_all_of_it_is(tmp_path: Path) -> None:
+    written = run("msp-range airframes quad_pallet --into", tmp_path).output.splitlines()
+    assert written == [f"written: {tmp_path}/{name}" for name in ("sensors/mb1242.yaml", "airframe.yaml")]
+
+
 def test_what_exists_is_not_replaced(tmp_path: Path) -> None:
     model = tmp_path / "sensors/mb1242.yaml"
     model.parent.mkdir()

@@ -98,6 +98,22 @@ def test_without_any_part_there_is_still_a_report(tmp_path: Path, monkeypatch: p
     assert "journal: not in it: [Errno 2] No such file or directory: 'journalctl'" in files["contents.txt"]
 
 
+@pytest.mark.parametrize(
+    ("script", "listed"),
+    [
+        ("echo a line; exit 3", "the last 5000 lines, where journalctl ended with exit code 3"),
+        ("echo not allowed >&2; exit 3", "journal: not in it: journalctl: exit code 3: not allowed"),
+        ("exit 0", "journal.txt: journal of the service and its page, the last 5000 lines,"),
+    ],
+)
+def test_a_journal_that_fails_is_reported(
+    script: str, listed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    add_journalctl(tmp_path, monkeypatch, f"#!/bin/sh\n{script}\n")
+    run("msp-range report", tmp_path / "none.yaml", "--out", tmp_path / "r.zip")
+    assert listed in texts(tmp_path / "r.zip")["contents.txt"]
+
+
 def names(tmp_path: Path, airframe: Path) -> set[str]:
     """Files of the report of a vehicle."""
     run("msp-range report", airframe, "--out", tmp_path / "r.zip")

@@ -110,6 +110,7 @@ def test_of_an_autopilot_of_another_kind_nothing_else_is_asked() -> None:
 def test_what_there_is_no_time_for_is_not_called_wrong() -> None:
     assert asked(COPTER, end_s=0.0)["autopilot"].verdict == "unknown"
     found = asked(COPTER, end_s=0.6, version=None, mission=[])
+    assert found["mission"].text == "not read: no time was left"
     assert {step: each.verdict for step, each in found.items() if each.verdict != "right"} == {
         "parameters": "unknown",
         "mission": "unknown",

@@ -153,6 +153,7 @@ def interfaces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str
     (tmp_path / "if_inet6").write_text(
         "00000000000000000000000000000001 01 80 10 80       lo\n"
         "20010db8000000000000000000000007 02 40 00 80     eth0\n"
+        "20010db800000000000000000000000b 04 40 00 80    wlan0\n"
         "20010db8000000000000000000000008 02 40 00 01     eth0\n"
         "20010db8000000000000000000000009 03 40 00 80  docker0\n"
         "fe80000000000000000000000000000a 02 40 20 80     eth0\n"
@@ -167,6 +168,6 @@ def interfaces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str
 def test_the_first_address_is_the_one_where_a_phone_is_most_likely(interfaces: dict[str, str]) -> None:
     name = f"{socket.gethostname()}.local"
     assert network.hosts() == ["198.51.100.7", "203.0.113.9", "192.0.2.5", name]
-    assert network.hosts_6() == ["2001:db8::7"]
+    assert network.hosts_6() == ["2001:db8::b", "2001:db8::7"]
     del interfaces["wlan0"], interfaces["eth0"], interfaces["eth1"]
     assert network.hosts() == []
